@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import jointid as ji
-from jointid.diagnostics.diagnose import diagnose_robot
+from jointid.diagnostics.diagnosis import diagnose_robot
 from jointid.models.friction import Friction
 from tests.load_friction import LAWS, hanging_joint, lifting_arm
 

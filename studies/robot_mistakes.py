@@ -19,7 +19,7 @@ import numpy as np
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.diagnose import Diagnosis
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.models.controllers import PD
 from jointid.models.robots.dynamics import inverse_dynamics

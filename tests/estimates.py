@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import jointid as ji
-from jointid.diagnostics.diagnose import diagnose_joint
+from jointid.diagnostics.diagnosis import diagnose_joint
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search_state import MOST
 from jointid.diagnostics.suspects import AxisFaults

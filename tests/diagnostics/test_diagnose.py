@@ -10,7 +10,8 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.config import load
-from jointid.diagnostics.diagnose import Diagnosis, diagnose
+from jointid.diagnostics.diagnose import diagnose
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.explain import find_failure_causes
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.idim import IDIM

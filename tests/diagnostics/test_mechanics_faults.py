@@ -9,7 +9,7 @@ import pytest
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.considered import widen_for_faults
-from jointid.diagnostics.diagnose import Diagnosis
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.search import search_faults
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import (

@@ -116,7 +116,7 @@ def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch)
     def crash(*_: object, **__: object) -> None:
         raise StopIteration
 
-    monkeypatch.setattr("jointid.diagnostics.diagnose.search_faults", crash)
+    monkeypatch.setattr("jointid.diagnostics.diagnosis.search_faults", crash)
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, DIDIM(frequency=30.0))

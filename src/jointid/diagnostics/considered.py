@@ -21,7 +21,7 @@ from jointid.common.errors import JointidError
 from jointid.common.parallel import in_threads
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.diagnose import Diagnosis
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, AxisFaults, Fault, FaultSignature

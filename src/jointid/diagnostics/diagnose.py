@@ -1,10 +1,7 @@
-"""What is wrong with a record, with its loop and with its joint, axis by axis: the verb `diagnose`, and its result.
+"""The verb `diagnose`: what is wrong with a record, with its loop and with its joint.
 
 The record's own questions come first: clock, torque, motion, controller. The joint is then identified once, and its
-loop, its log and itself are tested: the part of its torque that the estimate leaves, and whether that is noise; the
-controller's torque along the logged motor position; and the faults. The controller is compared without a model of the
-axis, so its faults are distinguished from those of the model. Where no joint can be identified, the causes of that are
-searched for.
+loop, its log and itself are tested (`diagnosis`). Where no joint can be identified, the causes are searched for.
 """
 
 from __future__ import annotations
@@ -12,239 +9,36 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from dataclasses import replace
+from typing import Literal
 
-import numpy as np
-
-from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Table
 from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
-from jointid.common.messages import Message, Progress, ignore_progress
-from jointid.common.parallel import in_threads, one_thread
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
-from jointid.common.text import join, number, sentence
-from jointid.common.transmission import Transmission
-from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
-from jointid.diagnostics.changes import Cause
+from jointid.common.text import number
+from jointid.diagnostics.diagnosis import JOINT_DIFFERS, Diagnosis, Symptom, diagnose_robot
 from jointid.diagnostics.explain import find_failure_causes
+from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
-from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
-from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
+from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.diagnostics.samples import find_plain_cause
-from jointid.diagnostics.search import search_axes, search_faults
-from jointid.diagnostics.search_state import MOST
-from jointid.diagnostics.suspects import AxisFaults
-from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import POOR_FIT, Reason, Subject
+from jointid.estimation.result.verdict import POOR_FIT, Subject
 from jointid.models.controllers import Controller
-from jointid.models.controllers.servo_base import require_one_each
-from jointid.models.joints import ClosedLoop, Joint, RigidJoint
-from jointid.models.robots.robot import Link, Robot, RobotLoop
+from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.controller_torque import SOURCE
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
-from jointid.uncertainty.position_dependent_error import cells, repeatable
-from jointid.uncertainty.residual_tests import Whiteness, whiteness
 
-_LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
-_SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
-_NEARLY_ALL = 0.8  # of the squares of all axes that are not explained
 _NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
-_UNREADABLE, _POOR_MOTION, _DIFFERS = "unreadable", "motion_poor", "joint_differs"
+_UNREADABLE, _POOR_MOTION = "unreadable", "motion_poor"
 _ENOUGH = (_UNREADABLE, _POOR_MOTION, Agreement.SCALED, Agreement.LATE)
 """Faults after which no joint is identified: none would be right."""
-_VAGUE = (Agreement.DIFFERS, _DIFFERS, str(Reason.NO_CAUSE_FOUND))
-"""Symptoms of unknown cause."""
-
-Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
-"""The closed-loop problem of a joint, and its solution, (free,)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Symptom:
-    """One thing that is wrong with a record or its estimate, or cannot be told.
-
-    Attributes:
-        code: of it; a cause that was found has its own.
-        said: clause with its numbers and its remedy.
-        axis: name of the joint of a robot; "" of a joint alone, and of all joints.
-        spoils: whether an estimate with it is not relied on.
-    """
-
-    code: str
-    said: str
-    axis: str = ""
-    spoils: bool = True
-
-    def __str__(self) -> str:
-        return f"{self.axis and f'{self.axis}: '}{self.said.removesuffix('.')}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AxisDiagnosis:
-    """Diagnosis of one axis.
-
-    Attributes:
-        name: of the joint; empty of a joint alone.
-        left: share of its filtered torque that the estimate leaves.
-        whiteness: of what is left; None where the record is too short.
-        law: what the declared controller leaves of the logged torque; None without a controller, a reference or a
-            logged motor position.
-        faults: that were tested, and those found.
-        repeats: whether what is left repeats with the axis' motion; None where that was not tested.
-        caused: whether a cause explains what is left that is none of this axis alone.
-        signal: what was compared: "torque", or one that is computed from the position.
-    """
-
-    in_json = "explained as_declared law_holds"
-    name: str
-    left: float
-    whiteness: Whiteness | None
-    law: LawOnPosition | None
-    faults: AxisFaults
-    repeats: bool | None = None
-    caused: bool = False
-    signal: str = "torque"
-
-    @property
-    def explained(self) -> bool:
-        """True if what is left is small, or nothing but noise as far as is seen."""
-        if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
-            return True
-        return self.whiteness.p_value > _SURE or (self.repeats is False and not self.faults.findings)
-
-    @property
-    def law_holds(self) -> bool | None:
-        """Whether the declared controller makes the logged torque; None where that is not seen."""
-        return None if self.law is None else self.law.holds
-
-    @property
-    def as_declared(self) -> bool | None:
-        """False if loop or log has a fault, or the controller does not hold; None if neither was tested."""
-        faulty = any(not (self.name and one.test.fault.of_model) for one in self.faults.findings)
-        if faulty or self.law_holds is False or self.faults.part is not None:
-            return False
-        return True if self.law_holds or not self.name else None  # of a robot's axis no loop is simulated alone
-
-    @property
-    def reasons(self) -> tuple[Message, ...]:
-        """Faults of the axis, each with its remedy, preceded by the axis' name."""
-        found, begin = self.faults.reasons, f"{self.name}: " if self.name else ""
-        if self.faults.as_declared:
-            said = (
-                f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. None of "
-            )
-            said += "the faults explains it: check geometry, gears and couplings of the model"
-            found = () if self.caused or self.explained else (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),)
-        return tuple(replace(one, words=f"{begin}{one.words}", clause=f"{begin}{one.brief}") for one in found)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis(Documented):
-    """Diagnosis of a record, and of the estimate from it.
-
-    Attributes:
-        name: of the record of a joint, or of the robot.
-        method: of the estimate; empty where nothing could be identified.
-        axes: the diagnosis of each: one of a joint; none where nothing could be identified.
-        torques: of the record, beside the estimate's.
-        cause: of the whole log or model, that explains more than the faults of single axes.
-        symptoms: of the record and its estimate, the first first; none in the diagnosis that an estimate has.
-        laws: comparisons of the laws of springs and frictions, where they were asked for.
-        transmission: on whose `side` all numbers are.
-    """
-
-    in_json = "healthy explained as_declared sentence sentences -torques"
-    name: str
-    method: str = ""
-    axes: tuple[AxisDiagnosis, ...] = ()
-    torques: AxisTorques | None = None
-    cause: Cause | None = None
-    symptoms: tuple[Symptom, ...] = ()
-    laws: tuple[LawComparison, ...] = ()
-    transmission: Transmission | None = None
-
-    @property
-    def healthy(self) -> bool:
-        """True if no symptom spoils the answer; a parameter that is not identifiable is none."""
-        return not any(one.spoils for one in self.symptoms)
-
-    @property
-    def explained(self) -> bool:
-        """True if no axis' torque has a part that the model should have explained."""
-        return self.cause is None and all(one.explained for one in self.axes)
-
-    @property
-    def as_declared(self) -> bool | None:
-        """True if all loops and logs are as declared, False if one is not; None if one cannot be tested."""
-        seen = [one.as_declared for one in self.axes]
-        return False if False in seen else None if None in seen else True
-
-    def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
-        """Return the findings on models, or on loops, logs and parts of the time, each with its axis."""
-        found = list[Message]()
-        for axis in self.axes:
-            named = zip(axis.faults.findings, axis.reasons, strict=False)
-            found += [] if of_model or axis.faults.part is None else axis.reasons
-            found += [reason for one, reason in named if one.test.fault.of_model is of_model]
-        return (*found, *(() if of_model else self._wrong_laws))
-
-    @property
-    def _wrong_laws(self) -> tuple[Message, ...]:
-        """The declared controllers that do not make the logged torques, in one message; none without one."""
-        names = [one.name for one in self.axes if one.law_holds is False]
-        of = f" of {join(names)}" if any(names) else ""
-        said = f"the declared controller{of} does not make the logged torque of the position"
-        return (Message(Reason.LOOP_NOT_AS_DECLARED, said),) if names else ()
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Faults of all axes, each with its remedy."""
-        cause = f"{self.cause}. Correct this first, and identify again: single joints are judged only then"
-        found = [*([] if self.cause is None else [cause]), *(one.words for one in self._wrong_laws)]
-        said = [(axis.name, one.words) for axis in self.axes for one in axis.reasons]
-        return *map(sentence, found), *(f"{words}." if name else sentence(words) for name, words in said)
-
-    @property
-    def sentence(self) -> str:
-        """The first fault in a sentence."""
-        first = min(self.symptoms, key=lambda one: (not one.spoils, one.code in _VAGUE), default=None)
-        if first is not None:
-            said = f"{self.name}: " if first.spoils else f"Nothing that is wrong with {self.name} spoils its answer: "
-            return f"{said}{first}."
-        return self.sentences[0] if self.sentences else f"Nothing is wrong with {self.name}."
-
-    def to_document(self, *, details: bool = False) -> Document:
-        """Return the symptoms, a table of the axes, what to do, and the comparisons of laws; there is no more."""
-        del details
-        said = tuple(sentence(str(one)) for one in self.symptoms)
-        blocks: list[Block] = [Heading("What is wrong"), Listing(said)] if said[1:] else []
-        blocks += [] if self.transmission is None else [Facts((("transmission", str(self.transmission)),))]
-        blocks += [self._table()] if self.axes else []
-        blocks += [Heading("What to do"), Listing(self.sentences)] if self.sentences else []
-        for part in (one.to_document() for one in self.laws):
-            blocks += [Heading(part.title), *part.blocks]
-        return Document(self.sentence, tuple(blocks))
-
-    def _table(self) -> Table:
-        """Return the residuals of each axis' torque, by the model and by the controller along the logged position."""
-        header = ("joint", "left, %", "white", "controller leaves, %", "any law, %")
-        rows = []
-        for one in self.axes:
-            white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
-            law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
-            rows.append((one.name or "joint", f"{100 * one.left:.3g}", white, *law))
-        return Table(header, tuple(rows), f"residual of each joint's filtered {self.axes[0].signal}", (0, 2))
-
-
-# The verb
 
 
 @one_thread()
@@ -287,8 +81,6 @@ def diagnose(
         >>> print(found.sentence)
         Nothing is wrong with twin L19.
     """
-    from jointid.diagnostics.identify import identify
-
     if isinstance(record, Record) and controllers:
         raise MethodError("The argument controllers is for a robot; leave it out for a joint.")
     if laws and not isinstance(model, ClosedLoop):
@@ -389,98 +181,4 @@ def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:
     for axis, error in (fit.axis_errors or {"": fit.filtered_error}).items():
         if not error <= POOR_FIT:
             left = f"{number(100 * error, 2)} % of the {estimate.signal} is not explained by the model"
-            yield Symptom(_DIFFERS, left, axis)
-
-
-# Diagnosis of an estimate
-
-
-def diagnose_joint(estimate: Estimate, record: Record, solved: Solved, most: int = MOST) -> Diagnosis:
-    """Diagnose the estimate of a joint by DIDIM.
-
-    Args:
-        estimate: by DIDIM, of this record.
-        record: that it was identified from.
-        solved: its problem; the parameters identified beside the joint are not tested.
-        most: faults that are named at most.
-    """
-    problem, x = solved
-    std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
-    law = compare_law(record, problem.loop)
-    faults = search_faults(problem, x, std, record, law, most=most)
-    torques = torques_of_loop(problem, x)
-    repeats = next((one.passed for one in estimate.about(Subject.REPEATABLE)), None)
-    axis = _diagnose_axis(estimate, torques, 0, law, faults, None if repeats is None else not repeats)
-    return Diagnosis(record.name, estimate.settings.method, (axis,), torques)
-
-
-def diagnose_robot(
-    estimate: Estimate, records: Sequence[Record], controllers: Sequence[Controller | None] = ()
-) -> Diagnosis:
-    """Diagnose the estimate of a robot by any method.
-
-    Args:
-        estimate: of these records.
-        records: of each joint.
-        controllers: of each joint as declared, None where one is not known; those of the estimate's loop if none are
-            given.
-    """
-    part, method = estimate.require_robot(), estimate.settings.method
-    robot, torques = part.model, torques_of_robot(estimate, records)
-    if not controllers and isinstance(part.setup, RobotLoop):
-        controllers = part.setup.controllers
-    require_one_each(controllers, len(robot))
-
-    def follow(axis: tuple[Link, Record, Controller | None]) -> LawOnPosition | None:
-        link, record, law = axis
-        return None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
-
-    laws = in_threads(follow, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
-    units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
-    try:
-        faults, explained = search_axes(torques, units)
-    except np.linalg.LinAlgError:
-        said = "What is left of this record cannot be tested, as where an axis stands still: let every axis move."
-        raise MethodError(said) from None
-    axes = list[AxisDiagnosis]()
-    for k, (record, found, law) in enumerate(zip(records, faults, laws, strict=True)):
-        inside, repeats = torques.seen[k], None
-        # The noise of a torque that is computed from the controller, at some frequencies at least, is coloured.
-        if record.torque is not None and record.torque.source.endswith(SOURCE):
-            where = cells(torques.position[k][inside], torques.velocity[k][inside])
-            seen = repeatable(torques.error[k][inside], where)
-            repeats = seen.significant if seen.p_value is not None else None  # too little was visited twice
-        axes.append(_diagnose_axis(estimate, torques, k, law, found, repeats))
-    large = sum(one.left >= _LEFT or (one.whiteness is not None and one.whiteness.p_value <= _SURE) for one in axes)
-    cause = find_copied_reference(robot, records)
-    # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
-    if cause is None and method == "idim" and large:
-        cause = find_robot_cause(robot, records, estimate.settings.filtering)
-    # What acts all the time explains a part of it only where it explains nearly everything.
-    local = any(one.part is not None for one in faults)
-    if cause is not None and len(robot) - cause.left > (max(explained, _NEARLY_ALL * large) if local else explained):
-        return Diagnosis(robot.name, method, tuple(map(_wait_for_cause, axes)), torques, cause)
-    return Diagnosis(robot.name, method, tuple(axes), torques)
-
-
-def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
-    """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
-    laws = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
-    return replace(axis, faults=replace(axis.faults, findings=laws), caused=True)
-
-
-def _diagnose_axis(
-    estimate: Estimate,
-    torques: AxisTorques,
-    axis: int,
-    law: LawOnPosition | None,
-    faults: AxisFaults,
-    repeats: bool | None,
-) -> AxisDiagnosis:
-    """Return the diagnosis of one axis."""
-    inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
-    white = whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff)
-    return AxisDiagnosis(
-        torques.names[axis], float(np.linalg.norm(torques.error[axis])) / whole, white, law, faults,
-        repeats, signal=estimate.signal,
-    )  # fmt: skip
+            yield Symptom(JOINT_DIFFERS, left, axis)

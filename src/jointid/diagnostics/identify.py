@@ -14,7 +14,7 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join
 from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclared
-from jointid.diagnostics.diagnose import Diagnosis, Solved, diagnose_joint, diagnose_robot
+from jointid.diagnostics.diagnosis import Diagnosis, Solved, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.diagnostics.samples import find_broken_part, find_lost_samples, find_too_short

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import TypeAlias
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
@@ -23,12 +24,15 @@ from jointid.uncertainty.identifiability import Combination
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.profile import ProfileInterval, profile, profile_compliance
 
+Profiles: TypeAlias = tuple[ProfileInterval, ...]
+"""What `intervals` returns."""
+
 
 def intervals(
     estimate: Estimate,
     record: Record,
     quantities: Sequence[str] | None = None,
-) -> tuple[ProfileInterval, ...]:
+) -> Profiles:
     """Return profiles of an estimate by DIDIM, each on the side of the transmission that the estimate is on.
 
     Args:

@@ -19,12 +19,11 @@ given the joint's parameters, are one.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,13 +31,13 @@ from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.diagnostics.suspects import Fault, FaultSignature, FaultTest
 from jointid.uncertainty.covariance import Influence, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
+from jointid.uncertainty.residual_tests import Filter, fit_whitener
 
 LEVEL = 0.02
 """Largest share of records without a fault in which one is found."""
 RARER = 10
 """Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
 
-_ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
 _RANK = 1e-10  # of the largest singular value of columns
 _COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the joint's parameters is rounding
 _SAME = 0.999  # cosine of two collinear columns
@@ -46,8 +45,6 @@ _MORE = 1.2  # times the deviation: what 32 forces show is so much more in one o
 _KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
 _OF_WAVE = 2  # numbers of a wave of any phase
 _WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
-
-Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
 class _Step(NamedTuple):
@@ -152,27 +149,6 @@ def score(
 def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
     """Return tests, the strongest first of those that are significant, then the others by their p-values."""
     return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -test.strength)))
-
-
-def fit_whitener(residual: FloatArray) -> Filter:
-    """Return the filter that makes a residual nearly white, of signals (rows,) or (rows, columns) alike.
-
-    It is the prediction error of an autoregressive model of order 16, by Yule and Walker, of the residual with 1 % of
-    its variance added as white noise.
-    """
-    from scipy.linalg import solve_toeplitz
-    from scipy.signal import lfilter
-
-    rows = residual.size
-    order = min(_ORDER, rows // 4)
-    products = np.array([residual[lag:] @ residual[: rows - lag] for lag in range(order + 1)]) / rows
-    if not products[0] > 0:
-        return lambda signals: signals
-    products[0] *= 1 + _FLOOR
-    weights = solve_toeplitz(products[:-1], products[1:])
-    scale = math.sqrt(products[0] - weights @ products[1:])
-    taps = np.concatenate([[1.0], -weights]) / scale
-    return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
 
 
 def _give_back(residual: FloatArray, fitted: FloatArray) -> FloatArray:

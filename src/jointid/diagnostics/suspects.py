@@ -26,6 +26,7 @@ from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring, swinging_part
+from jointid.uncertainty.residual_tests import fit_whitener
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
@@ -390,8 +391,6 @@ def _cog(seen: Seen) -> Columns:
     The residual is regressed on cosine and sine of the simulated position over each period: a loop that holds its
     position against a force shows the force nearly as it is. The likeliest period is then simulated.
     """
-    from jointid.diagnostics.score import fit_whitener  # which reads this table
-
     travel = float(np.ptp(seen.position))
     if seen.loop is None or not isinstance(joint := seen.loop[0].joint, FlexibleJoint) or joint.stepped or not travel:
         return

@@ -1,4 +1,4 @@
-"""Test of the residual: whiteness.
+"""Test of the residual: whiteness; and the filter that makes it white.
 
 The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
 taken as that of a signal sampled at twice that frequency, white where the noise is. Its autocorrelations at lags 1 to
@@ -12,7 +12,9 @@ This is the Ljung-Box test for unequal variances (Diebold 1986; Lobato, Nankervi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,6 +24,9 @@ _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
 _LAGS = 20
 _ROWS_PER_LAG = 4  # at least
 _LEVEL = 0.05
+_ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
+
+Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,3 +80,24 @@ def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
     if kept < 1:
         return np.zeros(0)
     return np.asarray(np.fft.irfft(spectrum[: kept + 1], 2 * kept + 1))
+
+
+def fit_whitener(residual: FloatArray) -> Filter:
+    """Return the filter that makes a residual nearly white, of signals (rows,) or (rows, columns) alike.
+
+    It is the prediction error of an autoregressive model of order 16, by Yule and Walker, of the residual with 1 % of
+    its variance added as white noise.
+    """
+    from scipy.linalg import solve_toeplitz
+    from scipy.signal import lfilter
+
+    rows = residual.size
+    order = min(_ORDER, rows // 4)
+    products = np.array([residual[lag:] @ residual[: rows - lag] for lag in range(order + 1)]) / rows
+    if not products[0] > 0:
+        return lambda signals: signals
+    products[0] *= 1 + _FLOOR
+    weights = solve_toeplitz(products[:-1], products[1:])
+    scale = math.sqrt(products[0] - weights @ products[1:])
+    taps = np.concatenate([[1.0], -weights]) / scale
+    return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.diagnose import Diagnosis, diagnose_robot
+from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.methods.idim import IDIM

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jointid.diagnostics.changes import Cause
-from jointid.diagnostics.diagnose import Diagnosis, _wait_for_cause, diagnose_robot
+from jointid.diagnostics.diagnosis import Diagnosis, _wait_for_cause, diagnose_robot
 from jointid.diagnostics.robot_causes import find_robot_cause
 from jointid.diagnostics.search import explained_share
 from jointid.diagnostics.suspects import LOG_GAIN, FaultTest, Finding

@@ -8,7 +8,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.parameters import Parameter, Quantity
-from jointid.diagnostics.diagnose import diagnose_robot
+from jointid.diagnostics.diagnosis import diagnose_robot
 from jointid.diagnostics.validation import Prediction
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint

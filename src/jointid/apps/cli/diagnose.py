@@ -10,7 +10,7 @@ from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
     from jointid.config import File
-    from jointid.diagnostics.diagnose import Diagnosis
+    from jointid.diagnostics.diagnosis import Diagnosis
 
 FAULTY = 3
 """Exit code where something is wrong with the record, or something is found."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from jointid.common.charts import render
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
-from jointid.diagnostics.diagnose import Diagnosis
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures import charts

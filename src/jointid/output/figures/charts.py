@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from jointid.diagnostics.diagnose import Diagnosis
+    from jointid.diagnostics.diagnosis import Diagnosis
+    from jointid.diagnostics.intervals import Profiles
     from jointid.diagnostics.spectra import FrequencyResponse
-    from jointid.uncertainty.profile import ProfileInterval
 
 _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
@@ -321,7 +321,7 @@ def correlation_figure(estimate: Estimate) -> Figure:
 
 
 @styled
-def profiles_figure(estimate: Estimate, found: Sequence[ProfileInterval]) -> Figure:
+def profiles_figure(estimate: Estimate, found: Profiles) -> Figure:
     """Draw the profiles, each beside the interval of the table."""
     shown = [one for one in found if one.points.size > 2]
     if not shown:

@@ -13,8 +13,8 @@ from jointid.common.document import Document
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.diagnose import Diagnosis, diagnose_robot
-from jointid.diagnostics.intervals import intervals
+from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
+from jointid.diagnostics.intervals import Profiles, intervals
 from jointid.diagnostics.spectra import FrequencyResponse, compute_response
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
@@ -26,7 +26,6 @@ from jointid.output.json import REPORT_SCHEMA, to_dict
 from jointid.output.report.sections import PAGES, Repetition, draw_figures, page, repetition, report_blocks
 from jointid.records.record import Channel
 from jointid.tuning.tune import Tuned
-from jointid.uncertainty.profile import ProfileInterval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,7 +60,7 @@ class Report:
     channels: Mapping[str, Channel] = field(default_factory=dict)
     validation: Validation | None = None
     response: FrequencyResponse | None = None
-    profiles: tuple[ProfileInterval, ...] = ()
+    profiles: Profiles = ()
     absent: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
