@@ -111,14 +111,25 @@ def search_flexible_joint(
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
         history.progress(Detail(error, "starting from a joint that follows its reference"))
         rigid = _follow_reference(task)
-    row = [frequency] if frequency else frequencies_to_try(problem.axis.law, rigid["inertia"], problem.sample_time)
     resting = SpringSearch(problem, task.filtering, tolerance, history)
-    found = resting.refine(resting.explore(rigid, row))
+
+    def explore(search: SpringSearch) -> list[Candidate]:
+        low = frequencies_to_try(problem.axis.law, rigid["inertia"], problem.sample_time)
+        return search.explore(rigid, [frequency] if frequency else low)
+
+    try:
+        candidates = explore(resting)
+    except MethodError:
+        if rough is None:
+            raise
+        rigid = _follow_reference(task)  # a torque of the wrong sign gives a joint that makes every loop unstable
+        candidates = explore(resting)
+    found = resting.refine(candidates)
     if rough is not None and any(p.name == "initial_velocity" for p in rough.problem.free):
         # From an end at rest no descent leads to one that moves.
         started = problem.replace_parameters({p.name: replace(p, start=rough.values[p.name]) for p in INITIAL_STATE})
         other = replace(resting, problem=started)
-        end = other.refine(other.explore(rigid, row))
+        end = other.refine(explore(other))
         found = end if is_significant(found, end, history) else found
     left = history.count_evaluations(found.problem).residual(found.x)
     if rough is None and float(np.linalg.norm(left)) > NOTHING * found.problem.size:

@@ -17,7 +17,7 @@ from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.estimation.parameters import RobotParameters
 from jointid.estimation.problems.simulated import Simulated, outcome_of
 from jointid.models.joints import spring_at
@@ -90,14 +90,13 @@ class StartOfSprings:
         known = triangle(rigid.slopes * rigid.problem.weights(len(rigid.slopes))[:, np.newaxis])
         own = [c for c, p in enumerate(parameters.places) if p.own == "inertia"]
         joints = np.array([parameters.places[c].axis for c in own], dtype=np.int64)
-        least, began = np.where(numbers.flexible, _LIGHTEST * about, -math.inf), np.zeros(len(unit))
-        began[own] = wanted[joints]
+        began, lower = np.zeros(len(unit)), Bounds.of(problem.free).lower.copy()  # a friction is not negative
+        began[own], lower[own] = wanted[joints], np.where(numbers.flexible, _LIGHTEST * about, -math.inf)[joints]
         target = np.concatenate([known @ (rigid.values[: len(known)] - zero - felt @ began), np.zeros(len(own))])
         for spread in _SPREADS:
             rows = np.vstack([known @ felt, unit[own] / (spread * about[joints])[:, np.newaxis]])
             norms = column_norms(rows)
-            values = began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms
-            values[own] = np.maximum(values[own], least[joints])
+            values = np.maximum(began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms, lower)
             rotors = wanted.copy()
             rotors[joints] = values[own]
             start = cls(problem, names, parameters.fill(values), rotors, np.maximum(about - rotors, _LIGHTEST * about))
