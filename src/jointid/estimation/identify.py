@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,6 @@ from jointid.estimation.methods.registry import Method, Task, default_method
 from jointid.estimation.outputs import state_scale, state_timing, torques_of
 from jointid.estimation.parameters import adjust_parameters, require_friction
 from jointid.estimation.problems.inverse_model import Records, each_log
-from jointid.estimation.problems.simulated import UNSETTLED
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.verdict import Reason, Subject, check_of
 from jointid.estimation.robots.idim import identify_robot
@@ -46,7 +43,6 @@ WINDOW = 75_000
 _LONGEST = 60.0  # s of a window, unless it is given
 _SHARED = ("added_inertia", "own", "free")  # what several records are given
 _PARTS = 3  # windows in what is identified at once
-_PERIODS = 240  # samples: parts are so long, or a multiple, so that a slower controller begins with a whole period
 
 _METHODS_OF: Mapping[type, tuple[type[Method], ...]] = {
     Robot: (IDIM,),
@@ -56,10 +52,10 @@ _METHODS_OF: Mapping[type, tuple[type[Method], ...]] = {
 """The methods of each model of a robot, its default first."""
 
 
-def is_long(record: Record, most: float | None = None) -> bool:
-    """Test whether a record whose channels have one clock has more samples than so many, or than `LARGEST`."""
+def is_long(record: Record) -> bool:
+    """Test whether a record whose channels have one clock has more than `LARGEST` samples."""
     clocks = {(len(channel), round(channel.sample_time, 12)) for _, channel in record.items()}
-    return len(clocks) == 1 and min(clocks)[0] > (most or LARGEST)
+    return len(clocks) == 1 and min(clocks)[0] > LARGEST
 
 
 def windows_of(
@@ -174,8 +170,6 @@ def _fit_robot(
     chosen.require_settings_of("robot")
     if isinstance(model, RobotLoop) and isinstance(chosen, DIDIM):
         logs = tuple(torques_of(log, model.loops, chosen.outputs) for log in logs)
-        parts = tuple(part for log in logs for part in _cut_robot(log))
-        model, logs = (model, logs) if len(parts) == len(logs) else (replace(model, in_motion=True), parts)
     read, records = [one for log in logs for one in log], logs if len(logs) > 1 else logs[0]
     if type(chosen) not in _METHODS_OF[type(model)]:
         raise MethodError(
@@ -193,18 +187,6 @@ def _fit_robot(
         for said in find_record_warnings(one, one.channels)
     )
     return state_scale(state_timing(found, read), read).warn(*dict.fromkeys(warnings))
-
-
-def _cut_robot(log: Sequence[Record]) -> list[Sequence[Record]]:
-    """Return the log of a robot's joints; of a long one its parts, which are simulated one after the other."""
-    most, samples = 4 * LARGEST / len(log) ** 2, min(len(channel) for one in log for _, channel in one.items())
-    if not all(is_long(one, most) for one in log):
-        return [log]
-    size = _PERIODS * math.ceil(most / (_PARTS * _PERIODS))
-    firsts = [*range(0, samples - size // 2, size), samples]
-    before = math.ceil(UNSETTLED * size / (1.0 - UNSETTLED) / _PERIODS) * _PERIODS
-    spans = [(max(first - before, 0), end) for first, end in pairwise(firsts)]
-    return [[cut(one, *span) for one in log] for span in spans]
 
 
 def require_distinct(records: Sequence[Record]) -> None:

@@ -49,15 +49,3 @@ def test_each_of_several_logs_is_an_own_one(model: Any) -> None:
     for log in LOGS:
         own = ji.validate(found, log)
         assert own.answer.code is Prediction.OWN_RECORD and own.nominal_error is None
-
-
-def test_a_long_log_is_simulated_part_by_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    log = recorded(LOOP, TWIN.records(12.0, 1), 0.05, 1)[0]
-    whole = ji.identify(log, LOOP, checks=False)
-    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(log[0].torque) // 2)
-    found = ji.identify(log, LOOP, checks=False)
-    assert found.fit.converged and found.fit.rows > whole.fit.rows
-    for row in whole.rows:
-        value, std = found[row.name].value, row.stderr
-        assert value is not None and row.value is not None and std is not None
-        assert abs(value - row.value) <= 0.5 * std, row.name

@@ -46,7 +46,6 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
     decimate_all,
-    decimated_at,
     drop_ends,
     lowpass,
     noise_limit_of_computed,
@@ -70,9 +69,6 @@ from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, r
 from jointid.simulation.start import INITIAL, Initial
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
-
-UNSETTLED = 0.1
-"""Of each of several logs of a robot that begin in motion: its first samples, whose rows do not count."""
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
 _FAILED = 1e3  # times the measured torque: the error of a candidate that cannot be simulated
@@ -109,7 +105,6 @@ class LoopLog:
         stride: rad of the fastest motion in one step of the integrator.
         seen: of each joint, what takes a motor position to a torque that was computed; None where it was logged. The
             derivatives are those of the controller's output, the same but for what a faster controller sees between.
-        unsettled: samples whose rows are 0, in which a part of a log forgets how it began.
     """
 
     measured: FloatArray
@@ -117,7 +112,6 @@ class LoopLog:
     experiment: LoopInput
     stride: float = FINE
     seen: tuple[SeenPosition | None, ...] = ()
-    unsettled: int = 0
     motion_measured: ClassVar[bool] = False
 
     @property
@@ -221,8 +215,6 @@ class LoopLog:
         """Return columns of one joint, (samples, ...), filtered; without the ends if a torque is computed."""
         del joint
         rows = decimate_all([columns], self.filtering, self.sample_time)[0]
-        if self.unsettled:
-            rows[decimated_at(len(rows), len(columns), self.filtering) < self.unsettled] = 0.0
         return drop_ends(rows, self.filtering, len(columns)) if any(self.seen) else rows
 
 
@@ -595,8 +587,6 @@ def pose_robot(
         moved = [loop_log(setup, log, model, filtering) for log in logs]
         for one in moved:
             require_torques(robot, one.measured.T)
-        if setup.in_motion and len(moved) > 1:
-            moved = [replace(one, unsettled=round(UNSETTLED * len(one.measured))) for one in moved]
         return Simulated.of(moved, parameters)
     found = [_motion_log(robot, log, model, filtering or Filtering()) for log in logs]
     for count, (_, resting) in enumerate(found if len(found) > 1 else (), start=1):
