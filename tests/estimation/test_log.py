@@ -13,6 +13,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
@@ -148,7 +149,8 @@ def test_how_long_a_window_remembers_is_measured() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"method": IDIM()}, "inverse model"),
+        ({"method": IDIM()}, "DIDIM"),
+        ({"method": DriveSideFit()}, "DIDIM"),
         ({"windows": 0.0}, "windows"),
         ({"windows": 40.0}, "two windows or more"),
     ],

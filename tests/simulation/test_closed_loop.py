@@ -2,22 +2,27 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import PD, Cascade, shift_start
 from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome, require_success
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate, simulated_record
 from tests.estimates import identify
+from tests.frozen.cases import other_law
 from tests.simulation.differences import sensitivities
 
 T = 1e-3
@@ -286,3 +291,23 @@ def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
     assert shift_start(PD(position_gain=1.0, derivative_gain=1.0), later * T) == PD(
         position_gain=1.0, derivative_gain=1.0
     )
+
+
+def test_a_motor_that_slips_for_a_moment_stops_before_it_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within one period it comes loose, stops 0.2 ms later, and comes loose again; the load stops in between.
+
+    The velocity after it is that of the equations of motion, integrated by scipy's DOP853 from event to event.
+    """
+    given: list[Any] = []
+    monkeypatch.setattr(ji, "identify", lambda *parts: given.extend(parts))
+    other_law("friction", "asymmetric", "flexible", 0)
+    logged, loop = given
+    problem = torque_problem(logged, loop, Filtering(), loop.joint.parameters)
+    values = {
+        "motor_inertia": 14.7935, "motor_viscous": 1e-9, "motor_coulomb": 14.6017, "stiffness": 232355.0,
+        "damping": 85.7, "load_inertia": 15.5531, "load_viscous": 20.5558, "load_coulomb": 10.3805, "offset": 9.434,
+        "initial_position": 0.0001525, "initial_velocity": 0.0, "initial_torque": 0.4679,
+    }  # fmt: skip
+    run = problem.simulate(problem.vector(values))
+    assert run.motor_velocity[1986] == 0.0
+    assert run.motor_velocity[1987] == pytest.approx(-8.8937e-7, rel=1e-3)

@@ -40,7 +40,7 @@ from jointid.estimation.problems.inverse_model import (
     through_window,
 )
 from jointid.estimation.problems.simulated import outcome_of
-from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
+from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_check
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.joints import ClosedLoop
@@ -53,6 +53,7 @@ from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
+_OTHER_LAW = "the controller is not that of the identification, which is right only if its gains were changed"
 _SEARCH = LevenbergMarquardt(1e-5, 40)  # of the attainable error: far below its reported digits
 
 
@@ -253,10 +254,13 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         )
         for k, axis in enumerate(axes)
     )  # fmt: skip
-    warnings = (scale_check(()).words,) if any(one.computed for one in records) else ()
+    warnings = [scale_check(()).words] if any(one.computed for one in records) else []
+    if settings.loop is not None and estimate.controller_sha256 != law_fingerprint(settings.loop):
+        warnings.append(_OTHER_LAW)
     return Validation(
         "direct" if own else "cross", settings.method, records[0].name, estimate.data.record, found.sample_time,
-        found.borders, made, warnings, records[0].resampled, None if robot is not None else settings.joint.transmission,
+        found.borders, made, tuple(warnings), records[0].resampled,
+        None if robot is not None else settings.joint.transmission,
     )  # fmt: skip
 
 

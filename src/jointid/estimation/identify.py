@@ -78,9 +78,10 @@ def part_of(record: Record) -> Record:
 
 def _refuse_windows(record: object, model: object, method: Method | None, several: object) -> str:
     """Return what is not identified in windows, in a sentence; empty if all is."""
-    if isinstance(record, Sequence) or several or not isinstance(model, ClosedLoop) or isinstance(method, IDIM):
+    others = isinstance(record, Sequence) or several or not isinstance(method, DIDIM | None)
+    if others or not isinstance(model, ClosedLoop):
         return (
-            "Windows are of one record of a joint, and simulate its loop; the inverse model needs none: give a "
+            "Windows are of one record of a joint, and simulate its loop; other methods need none: give a "
             "ClosedLoop and DIDIM, or leave windows out."
         )
     if "drifting" in model.joint.friction.name:
@@ -258,6 +259,8 @@ def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None
     back = np.linalg.inv(robot.coupling)
     faults = []
     for log in logs:
+        if len(log) != len(robot):
+            raise RecordError(f"A log of a robot has a record of each joint, {len(robot)}; received {len(log)}.")
         for k, (name, record) in enumerate(zip(robot.names, log, strict=False)):
             faults += [f"{name}: {said}" for said in scale_faults(record)]
             limits, alone = robot.links[k].limits, np.count_nonzero(back[k]) == 1

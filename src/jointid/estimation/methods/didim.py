@@ -13,7 +13,7 @@ fixed point lie further apart than the deviations of either; the interval is the
 
 **A flexible joint.** The load is not controlled, so the regressor on the simulated motion is no approximation of the
 Jacobian [P section IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque,
-by the same descents (`starts.flexible_joint`). The paper's simplex is in `paper.form`.
+by the same descents (`starts.flexible_joint`).
 
 Nonlinear laws begin at the end with linear ones, and so does a search with more of the surroundings free. **A robot**
 is searched for by `estimation.robots`.

@@ -110,7 +110,7 @@ class Report:
             if tuned is not None or profiles:
                 raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
             return cls(estimate, diagnose_robot(estimate, record, controllers), tuple(checks), name, again)
-        flexible = any(p.name == "stiffness" and p.free for p in estimate.rows)
+        flexible = estimate.settings.joint.model == "flexible" and estimate["stiffness"].free
         asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
         parts: dict[str, Callable[[], Any]] = {
             "validation": lambda: validate(estimate, record),

@@ -239,12 +239,13 @@ def _find_first(
             place = start / (start - end)
             if place < first:
                 first, found, where = place, i, 1.0
-        elif dips and i < a.size and modes[i] != 0.0 and 0.0 < start < np.inf:
+        elif dips and i < a.size and modes[i] != 0.0 and 0.0 <= start < np.inf:
             down, up = modes[i] * a[i] * h, modes[i] * a1[i] * h
-            if down < 0.0 < up and min(start, end) < 0.15 * (up - down):
-                # The cubic through both ends: where it is lowest, and how low.
-                c2, c3 = 3.0 * (end - start) - 2.0 * down - up, 2.0 * (start - end) + down + up
-                place = -down / (c2 + math.sqrt(max(c2 * c2 - 3.0 * c3 * down, 0.0)))
+            # The cubic through both ends: where it is lowest, and how low. It may rise before, as from rest.
+            c2, c3 = 3.0 * (end - start) - 2.0 * down - up, 2.0 * (start - end) + down + up
+            square = c2 * c2 - 3.0 * c3 * down
+            if up > 0.0 and start + down > 0.0 and square > 0.0 and min(start, end) < 0.15 * (up + abs(down)):
+                place = -down / (c2 + math.sqrt(square))
                 lowest = start + place * (down + place * (c2 + place * c3))
                 if 0.0 < place < 1.0 and lowest < 0.0 and place < first:
                     first, found, where = place, i, place
