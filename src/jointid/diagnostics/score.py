@@ -17,8 +17,6 @@ multiplied by the number of faults in it, and of shapes tried for one (Bonferron
 given the joint's parameters, are one.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace

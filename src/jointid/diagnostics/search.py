@@ -11,8 +11,6 @@ shows by the other joints, which share the inertias of the links. So the rows of
 joint by the size of its error.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

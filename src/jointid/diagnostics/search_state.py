@@ -1,7 +1,5 @@
 """A solved problem of a joint in the search for its faults, with the tests of what it leaves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The questions to one solved axis: its motion, and what a force on it changes of its torque."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property

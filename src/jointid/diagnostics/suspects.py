@@ -5,8 +5,6 @@ the axis. All that is particular to it is a field of `Fault`; the tests and the 
 a large one is in `changes`. To add one, write its columns, and its row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,6 +39,7 @@ _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which frictio
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
 _OF_LOAD = 1.0  # shape of a friction under load that is the load's; that of the motor has none
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
+_LIKELIEST = 6  # that are simulated
 _WAVES_TRIED = np.arange(3.0, 150.0, 0.25)  # times that a ripple comes back over the travel
 _RANK = 1e-10  # of the largest singular value of columns
 _STEP = 1e-4  # of the known signal
@@ -389,7 +388,7 @@ def _cog(seen: Seen) -> Columns:
     """Yield the ripple, per unit of amplitude, that explains most of a residual of a loop without smooth laws.
 
     The residual is regressed on cosine and sine of the simulated position over each period: a loop that holds its
-    position against a force shows the force nearly as it is. The likeliest period is then simulated.
+    position against a force shows the force nearly as it is. The likeliest periods are then simulated.
     """
     travel = float(np.ptp(seen.position))
     if seen.loop is None or not isinstance(joint := seen.loop[0].joint, FlexibleJoint) or joint.stepped or not travel:
@@ -411,13 +410,19 @@ def _cog(seen: Seen) -> Columns:
         turn = 2 * np.pi * wave / travel * position
         return explain(np.column_stack([np.cos(turn), np.sin(turn), way * np.cos(turn), way * np.sin(turn)]))[0]
 
-    wave = float(_WAVES_TRIED[np.argmax(in_threads(regress, _WAVES_TRIED.tolist()))])
-    turn = 2 * np.pi * wave / travel * seen.position
-    parts = [one for each in (np.cos(turn), np.sin(turn)) if (one := seen.force(-each)) is not None]
-    if len(parts) > 1:
+    def simulate(wave: float) -> tuple[float, float, FloatArray]:
+        turn = 2 * np.pi * wave / travel * seen.position
+        parts = [one for each in (np.cos(turn), np.sin(turn)) if (one := seen.force(-each)) is not None]
+        if len(parts) < 2:
+            return 0.0, wave, np.zeros(turn.size)
         raw = np.column_stack(parts)
-        weights = explain(problem.filter(raw))[1]
-        yield travel / wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
+        gain, weights = explain(problem.filter(raw))
+        return gain, wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
+
+    gains = np.array(in_threads(regress, _WAVES_TRIED.tolist()))
+    likeliest = _WAVES_TRIED[np.argsort(-gains)[:_LIKELIEST]]
+    _, wave, raw = max(in_threads(simulate, likeliest.tolist()), key=lambda one: one[0])
+    yield travel / wave, raw
 
 
 def _wave(seen: Seen) -> Columns:
