@@ -1,7 +1,5 @@
 """Excitation signals for identification."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

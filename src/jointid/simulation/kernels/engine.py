@@ -244,7 +244,8 @@ def _find_first(
             # The cubic through both ends: where it is lowest, and how low. It may rise before, as from rest.
             c2, c3 = 3.0 * (end - start) - 2.0 * down - up, 2.0 * (start - end) + down + up
             square = c2 * c2 - 3.0 * c3 * down
-            if up > 0.0 and start + down > 0.0 and square > 0.0 and min(start, end) < 0.15 * (up + abs(down)):
+            falls = up > 0.0 and (start > 0.0 or down > 0.0) and square > 0.0
+            if falls and min(start, end) < 0.15 * (up + abs(down)):
                 place = -down / (c2 + math.sqrt(square))
                 lowest = start + place * (down + place * (c2 + place * c3))
                 if 0.0 < place < 1.0 and lowest < 0.0 and place < first:
