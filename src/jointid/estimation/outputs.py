@@ -4,8 +4,6 @@ The position is compared as the torque that the declared controller outputs for 
 (`simulation.controller_torque`), so search, intervals and checks are those of a logged torque.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeAlias

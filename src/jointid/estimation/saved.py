@@ -3,8 +3,6 @@
 Of a robot the names and sums of the parameters are computed anew from its geometry, and must be those of the file.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -20,8 +20,6 @@ distance is added to the deviations, as one of its own size: 2 sigma hold both. 
 motor, as on the EMPS axis and on the paper's twin, nothing moves, whatever the force.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

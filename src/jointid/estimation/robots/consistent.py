@@ -10,8 +10,6 @@ is taken: x and V are the estimate and its covariance, theta0 the model's own bo
 decides; where it says nothing, the model stays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ weights ("ols") lets the large joints decide the wrist's parameters. Beside it s
 friction fitted as the estimate's was: an opponent without friction would be none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

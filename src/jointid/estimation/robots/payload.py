@@ -5,8 +5,6 @@ inertial parameters that both know, with the covariance of each. Friction is eac
 warm up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

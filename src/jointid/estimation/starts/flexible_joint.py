@@ -35,8 +35,8 @@ from jointid.estimation.descent import ROUGH, History, Solved, is_significant, l
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.parameters import INITIAL, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.starts.rigid_joint import regular_start, rigid_starts
-from jointid.models.controllers import SampledLaw
+from jointid.estimation.starts.rigid_joint import first_state, reconstructed_position, regular_start, rigid_starts
+from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, split_by_mode
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -69,6 +69,7 @@ _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER = 1e-3  # of what remains: so much less is further down
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
 _IDLE = 1e-8  # of the largest singular value: smaller ones are those of parameters that change nothing
+_MOVES = 0.05  # of the reference's largest speed: at more the motor moves at the first sample
 _REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 
 _cost = attrgetter("cost")
@@ -125,9 +126,9 @@ def search_flexible_joint(
         rigid = _follow_reference(task)  # a torque of the wrong sign gives a joint that makes every loop unstable
         candidates = explore(resting)
     found = resting.refine(candidates)
-    if rough is not None and any(p.name == "initial_velocity" for p in rough.problem.free):
-        # From an end at rest no descent leads to one that moves.
-        started = problem.replace_parameters({p.name: replace(p, start=rough.values[p.name]) for p in INITIAL_STATE})
+    moving = _find_motion(problem, rough)
+    if moving is not None:  # from an end at rest no descent leads to one that moves
+        started = problem.replace_parameters({p.name: replace(p, start=moving[p.name]) for p in INITIAL_STATE})
         other = replace(resting, problem=started)
         end = other.refine(explore(other))
         found = end if is_significant(found, end, history) else found
@@ -138,6 +139,17 @@ def search_flexible_joint(
             "reference, and the controller's gains and delay."
         )
     return found
+
+
+def _find_motion(problem: ClosedLoopProblem, rough: Solved | None) -> dict[str, float] | None:
+    """Return the state of a motor that may move at the first sample; None of one that rests."""
+    if rough is not None and any(p.name == "initial_velocity" for p in rough.problem.free):
+        return rough.values
+    steps = np.diff(problem.axis.inputs[:, REFERENCE])
+    if abs(steps[0]) > _MOVES * np.max(np.abs(steps)):
+        with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
+            return first_state(problem, reconstructed_position(problem))
+    return None
 
 
 def rough_rigid_joint(task: Task, history: History) -> Solved:
