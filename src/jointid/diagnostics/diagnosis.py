@@ -1,4 +1,4 @@
-"""What is wrong with the loop, the log and the joint of an estimate, axis by axis, and the result of `diagnose`.
+"""Diagnosis of an estimate, axis by axis: faults of its loop, its log and its joint.
 
 The part of the torque that the estimate leaves is tested for whiteness, and the faults for theirs; the controller's
 torque is compared along the logged motor position, without a model of the axis, so that its faults are distinguished

@@ -256,7 +256,7 @@ def _couple(case: _Case, motor: int, joint: int, x: FloatArray) -> _Case:
 
 
 def _value(code: str, robot: Robot, x: FloatArray) -> float | None:
-    """Return what the numbers of a change are: a factor, an angle from the declared one, or a gravity."""
+    """Return the meaning of the numbers of a change: a factor, an angle from the declared one, or a gravity."""
     if code == "base":
         cosine = float(robot.gravity @ x) / float(np.linalg.norm(robot.gravity) * np.linalg.norm(x))
         return math.acos(min(max(cosine, -1.0), 1.0))

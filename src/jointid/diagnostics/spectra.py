@@ -1,4 +1,4 @@
-"""What an estimate looks like in frequency: the spectra of the torque, and the response of the joint.
+"""Spectra and frequency response of an estimate.
 
 Spectra are those of the measured and the predicted torque, and of their difference. The response is that from the
 motor's torque to the velocities of the joint's two sides, of the linear part (`models.linear`), moving forwards.

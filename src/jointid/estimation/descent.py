@@ -62,7 +62,7 @@ class Solved(NamedTuple):
 
     @property
     def x(self) -> FloatArray:
-        """What is searched, (free,)."""
+        """The solution, (free,)."""
         return self.solution.x
 
     @property

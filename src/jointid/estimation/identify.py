@@ -77,7 +77,7 @@ def part_of(record: Record) -> Record:
 
 
 def _refuse_windows(record: object, model: object, method: Method | None, several: object) -> str:
-    """Return what is not identified in windows, in a sentence; empty if all is."""
+    """Return the reason against windows, in a sentence; empty if there is none."""
     others = isinstance(record, Sequence) or several or not isinstance(method, DIDIM | None)
     if others or not isinstance(model, ClosedLoop):
         return (

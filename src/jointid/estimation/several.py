@@ -471,7 +471,7 @@ def _moved(
 
 
 def _describe_alone(fit: Estimate, together: SeveralRecords, layout: RecordLayout, number: int, gain: float) -> Alone:
-    """Return what a record, numbered from 0, says by itself, in terms of the acting torque."""
+    """Return the fit of one record, numbered from 0, in terms of the acting torque."""
     (problem, x), known = _solved(fit), fit.parameters
     separable = dict(zip(fit.free, find_separable(problem.linearise(x)[1]), strict=True))
     names, values, std = list[str](), dict[str, float](), list[float]()

@@ -1,4 +1,4 @@
-"""What is known of a joint for the design of its test, and the intervals of a test, from exact sensitivities.
+"""Knowledge of a joint for the design of its test, and the intervals of a test.
 
 The loop is simulated along the planned reference and injection at the rough parameters, and at others of their
 interval. The derivatives J of the torque pass the identification's filter. With S the covariance of ``J' e``, e the

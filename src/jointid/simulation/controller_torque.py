@@ -109,7 +109,7 @@ class SeenPosition:
         return np.column_stack(columns) if columns else positions
 
     def respond(self, position: FloatArray, inputs: FloatArray) -> FloatArray:
-        """Return what the law puts out, without limits, of a position and inputs of its periods, (samples,)."""
+        """Return the output of a law without limits along a position, (samples,)."""
         channel, law = Channel(position, "", self.axis.sample_time), self.axis.law
         inputs, start = _along(channel, self.axis, inputs)
         return to_log(self.axis, respond(law, inputs, start)[:, law.output])

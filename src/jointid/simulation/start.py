@@ -241,7 +241,7 @@ class Steady:
         return np.concatenate([motors - deflections, found, weights])
 
     def _weigh(self, at: FloatArray) -> FloatArray:
-        """Return what the links take, or the load, behind the springs, (n,)."""
+        """Return the torques of the links, or of the load, behind the springs, (n,)."""
         numbers, n = self.numbers, at.size
         taken = np.zeros(n)
         if self.tree is None:

@@ -88,7 +88,7 @@ class ClosedLoopProblem(Simulated):
 
     @property
     def keys(self) -> list[Place]:
-        """What the derivatives of simulations are by, (free,)."""
+        """Places of the derivatives of a simulation, (free,)."""
         return [Place(0, p.name) for p in self.free]
 
     def scales(self, x: FloatArray) -> FloatArray:

@@ -420,7 +420,7 @@ class Simulated:
 
     @property
     def keys(self) -> Sequence[Place]:
-        """What the derivatives of simulations are by, (free,)."""
+        """Places of the derivatives of a simulation, (free,)."""
         return self.parameters.keys
 
     def scales(self, x: FloatArray) -> FloatArray:

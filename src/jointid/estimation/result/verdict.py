@@ -111,7 +111,7 @@ def check_of(
 
 
 def checks_of(name: Subject, passed: bool | None, *said: Message) -> tuple[Check, ...]:
-    """Return the statements that answer a question, the first of which is told where there is room for one."""
+    """Return the statements that answer a question, the most important one first."""
     return tuple(Check(one.code, one.words, one.values, one.clause, name=name, passed=passed) for one in said)
 
 

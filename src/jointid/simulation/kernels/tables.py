@@ -118,7 +118,7 @@ def passing(joints: int) -> Feedback:
 
 
 class Path(NamedTuple):
-    """What a joint of straight lines leaves behind as each part begins.
+    """States and modes of a joint of straight lines as each part begins.
 
     Attributes:
         straight: whether it is one; of any other both are empty.
