@@ -89,7 +89,7 @@ def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> N
     ]
     assert carried["joint_file"] == EMPS.read_text(encoding="utf-8")
     assert len(carried["record_file_sha256"]) == 64
-    assert carried["estimate"]["data"]["fingerprint"] in text
+    assert carried["estimate"]["data"]["fingerprints"][0] in text
 
 
 @pytest.mark.slow
