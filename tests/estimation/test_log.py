@@ -92,18 +92,11 @@ def test_memory_does_not_grow_with_the_record(tmp_path: Path, suffix: str) -> No
     for log in (short, long):
         tracemalloc.start()
         estimate = identify(log, LOOP, windows=5.0)
-        found.append(
-            (
-                tracemalloc.get_traced_memory()[1],
-                estimate.data.windows.count,
-                estimate.fit.simulations / estimate.fit.passes,
-            )
-        )
+        found.append((tracemalloc.get_traced_memory()[1], estimate.data.windows.count))
         tracemalloc.stop()
-    (before, few, _), (after, many, work) = found
+    (before, few), (after, many) = found
     assert (few, many) == (12, 24)
     assert after <= 1.25 * before
-    assert work <= 1.5 * many  # a pass, and what sparse ones before it read
 
 
 @pytest.mark.slow

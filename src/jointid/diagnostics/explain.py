@@ -17,6 +17,7 @@ as that number.
 from __future__ import annotations
 
 import contextlib
+import heapq
 import itertools
 import math
 import time
@@ -417,7 +418,7 @@ def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> l
 
     def choose(own: Iterator[Fit]) -> list[Fit]:
         in_time = itertools.takewhile(lambda _: time.process_time() < until, own)
-        return sorted((fit for fit in in_time if fit.error < _ASTRAY), key=lambda fit: fit.error)[:_STARTS]
+        return heapq.nsmallest(_STARTS, (fit for fit in in_time if fit.error < _ASTRAY), key=lambda fit: fit.error)
 
     def go_on(fit: Fit, evaluations: int) -> Fit | None:
         return fit.descend(evaluations) if time.process_time() < until else fit

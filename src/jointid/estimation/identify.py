@@ -1,7 +1,5 @@
 """From a record, several, or a log too long for memory, to a fit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -37,7 +35,7 @@ from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 LARGEST = 600_000
 """Samples of a joint's record that are identified at once, in about 1 GiB; a longer one goes in windows."""
 
-WINDOW = 75_000
+WINDOW = 60_000
 """Samples of a window of such a record, of which one is checked."""
 
 _LONGEST = 60.0  # s of a window, unless it is given
@@ -137,7 +135,9 @@ def fit(
     elif isinstance(record, Record):
         found = identify_record(read[0], model, method, filtering, known, progress)
     else:
-        require_distinct(read)
+        marks = [fingerprint(one.torque.values) for one in read if one.torque is not None]
+        if len({*marks}) < len(marks):
+            raise MethodError("Two of the records are the same: name another file.")
         if by_loop:
             layout = RecordLayout.of(len(read), model, own.free, several or {})
             own = replace(own, free=tuple(name for name in layout.free if name != "drive_gain"))
@@ -188,13 +188,6 @@ def _fit_robot(
         for said in find_record_warnings(one, one.channels)
     )
     return state_scale(state_timing(found, read), read).warn(*dict.fromkeys(warnings))
-
-
-def require_distinct(records: Sequence[Record]) -> None:
-    """Raise a `MethodError` if a record is there twice."""
-    marks = [fingerprint(one.torque.values) for one in records if one.torque is not None]
-    if len({*marks}) < len(marks):
-        raise MethodError("Two of the records are the same: name another file.")
 
 
 def identify_record(

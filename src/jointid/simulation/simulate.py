@@ -294,10 +294,10 @@ def _motion_of_lines(run: Run, at: IntArray, masses: int) -> MassMotion:
     source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]
     held = np.maximum(source, 0)
     torque = np.where(source >= 0, run.command[0, held] + post[held], run.start.before[0])
-    inputs = np.column_stack([states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, np.ones_like(torque)])
-    acceleration = np.einsum("sij,sj->si", path.rates[modes], inputs)
-    direction = np.column_stack([modes // 3 - 1.0, modes % 3 - 1.0])
-    return MassMotion(*(one[:, :masses] for one in (states[:, ::2], states[:, 1::2], acceleration, direction)))
+    inputs = states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, 1.0
+    sums = (sum(path.rates[modes, i, j] * x for j, x in enumerate(inputs)) for i in range(masses))
+    way = modes[:, np.newaxis] // np.array([3, 1])[:masses] % 3 - 1.0
+    return MassMotion(states[:, ::2][:, :masses], states[:, 1::2][:, :masses], np.stack([*sums], axis=1), way)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,8 +19,6 @@ Nonlinear laws begin at the end with linear ones, and so does a search with more
 is searched for by `estimation.robots`.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -15,15 +15,12 @@ A motor inside a closed loop answers to what disturbs it, so its measured motion
 squares is biased: the intervals are widened for that (`Influence.widen_for_motion`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jointid.common.arrays import column_norms
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
@@ -59,7 +56,7 @@ from jointid.simulation.drive_side import (
     prescribe,
 )
 from jointid.simulation.plant import LOAD_STATE
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.uncertainty.covariance import Influence
 
 _LOAD_PARAMETERS = (
@@ -210,9 +207,8 @@ def _fit_rigid(problem: ClosedLoopProblem, tolerance: float, history: History) -
     delay = problem.parameters[-1]
     linear = problem.keeping({delay.name: delay.start or 0.0})  # a torque of the wrong sign could be one far too late
     x = linear.vector({"inertia": 1.0})
-    error, slopes = linear.linearise(x)
-    sizes = np.maximum(column_norms(slopes), 1e-300)
-    values = linear.values(x - np.linalg.lstsq(slopes / sizes, error, rcond=1e-10)[0] / sizes)
+    unbounded = Bounds(np.full(x.size, -np.inf), np.full(x.size, np.inf))
+    values = linear.values(x + damped_step(*linear.linearise(x), unbounded))
     if values["inertia"] <= 0.0:
         raise MethodError(
             "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (turn "

@@ -5,8 +5,6 @@ adds arrays, properties and "type", the name of the class, and leaves out what s
 then hold nothing are left out. Numbers that do not exist are null in JSON.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping

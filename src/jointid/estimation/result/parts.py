@@ -1,7 +1,5 @@
 """The parts of an estimate: its rows, how well it fits, the data it is from, and the settings it was made with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

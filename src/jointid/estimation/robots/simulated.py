@@ -4,8 +4,6 @@ Beside it stands the nominal robot: the masses, rotors and springs of model and 
 found.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -10,16 +10,16 @@
    first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
 6. The same with the motor moving at the first sample.
+7. Where 10 % of the torque or more are left, the same from joints of other inertias, shares and modes.
 
 The drive side has no loop: its grid is measured by the cut-off, and it ends with step 5.
 """
-
-from __future__ import annotations
 
 import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -56,6 +56,10 @@ _LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tr
 _LOWEST, _HIGHEST = 0.5, 12.0  # times the crossover: the modes that are searched
 _RATIO = 1.25  # of neighbouring frequencies of the grid
 _HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
+_FAR_BELOW, _FAR_ABOVE, _WIDE_COUNT = 0.2, 4.0, 10  # times the crossover: the modes of the wide grid
+_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0)  # of that grid, times the rigid joint's
+_WIDE_SHARES = (0.15, 0.5, 0.85)  # of the load in them
+_LITTLE = 0.1  # of the torque: an end that leaves more may be a false minimum
 _NARROWED = 3  # frequencies at which other shares are tried
 _UNSTABLE = 10.0  # times the torque: what a loop that is as good as unstable leaves
 
@@ -112,28 +116,38 @@ def search_flexible_joint(
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
         history.progress(Detail(error, "starting from a joint that follows its reference"))
         rigid = _follow_reference(task)
-    resting = SpringSearch(problem, task.filtering, tolerance, history)
+    resting, moving = SpringSearch(problem, task.filtering, tolerance, history), _find_motion(problem, rough)
 
-    def explore(search: SpringSearch) -> list[Candidate]:
-        low = frequencies_to_try(problem.axis.law, rigid["inertia"], problem.sample_time)
-        return search.explore(rigid, [frequency] if frequency else low)
-
-    try:
-        candidates = explore(resting)
-    except MethodError:
-        if rough is None:
-            raise
-        rigid = _follow_reference(task)  # a torque of the wrong sign gives a joint that makes every loop unstable
-        candidates = explore(resting)
-    found = resting.refine(candidates)
-    moving = _find_motion(problem, rough)
-    if moving is not None:  # from an end at rest no descent leads to one that moves
+    def search_about(joint: Mapping[str, float], widely: bool) -> Solved:
+        law, sample_time = problem.axis.law, problem.sample_time
+        row = [frequency] if frequency else frequencies_to_try(law, joint["inertia"], sample_time)
+        if widely:
+            middle = crossover(law, joint["inertia"])
+            row = list(np.geomspace(_FAR_BELOW * middle, min(_FAR_ABOVE * middle, FASTEST / sample_time), _WIDE_COUNT))
+        found = resting.refine(resting.explore(joint, row, widely=widely))
+        if moving is None:
+            return found
+        # From an end at rest no descent leads to one that moves.
         started = problem.replace_parameters({p.name: replace(p, start=moving[p.name]) for p in INITIAL_STATE})
         other = replace(resting, problem=started)
-        end = other.refine(explore(other))
-        found = end if is_significant(found, end, history) else found
-    left = history.count_evaluations(found.problem).residual(found.x)
-    if rough is None and float(np.linalg.norm(left)) > NOTHING * found.problem.size:
+        end = other.refine(other.explore(joint, row, widely=widely))
+        return end if is_significant(found, end, history) else found
+
+    ends, failures = list[tuple[float, Solved]](), list[MethodError]()
+    for follows, widely in ((False, False),) if frequency else ((False, False), (False, True), (True, True)):
+        try:
+            found = search_about(_follow_reference(task) if follows else rigid, widely)
+        except MethodError as error:
+            failures.append(error)
+            continue
+        left = history.count_evaluations(found.problem).residual(found.x)
+        ends.append((float(np.linalg.norm(left)) / found.problem.size, found))
+        if ends[-1][0] <= _LITTLE:
+            break
+    if not ends:
+        raise failures[0]
+    share, found = min(ends, key=lambda end: end[0])
+    if rough is None and share > NOTHING:
         raise MethodError(
             "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
             "reference, and the controller's gains and delay."
@@ -261,27 +275,32 @@ class SpringSearch:
         """Return the problem with the given cut-off, or else with one suited to a mode frequency."""
         return self.problem if self.filtering.cutoff else on_band(self.problem, self.filtering, mode)
 
-    def explore(self, rigid: Mapping[str, float], row: Sequence[float]) -> list[Candidate]:
+    def explore(self, rigid: Mapping[str, float], row: Sequence[float], *, widely: bool = False) -> list[Candidate]:
         """Judge a row of frequencies with the values of a rigid joint; return the candidates, best first.
+
+        A mode inside the bandwidth makes the rigid joint another one: `widely` tries other inertias and shares, too.
 
         Raises:
             MethodError: no start can be simulated.
         """
-        problem = self._on_band(math.inf)
-        grid = self._judge((f, start_with_mode(problem, rigid, f, _HALF)) for f in row)
-        best = [one.frequency for one in sorted(grid, key=_cost)[:_NARROWED]]
-        grid += self._judge((f, start_with_mode(problem, rigid, f, s)) for f in best for s in _SHARES)
-        if len(row) > 1:  # at frequencies apart: a start beside another leads nowhere new
-            grid = [min((one for one in grid if one.frequency == f), key=_cost) for f in row]
+        problem, inertia = self._on_band(math.inf), rigid["inertia"]
+        every = product(_INERTIAS, _WIDE_SHARES, row) if widely else product((1.0,), (_HALF,), row)
+        joints = (({**rigid, "inertia": times * inertia}, f, share) for times, share, f in every)
+        grid = self._judge((f, start_with_mode(problem, one, f, share)) for one, f, share in joints)
+        if not widely:
+            best = [one.frequency for one in sorted(grid, key=_cost)[:_NARROWED]]
+            grid += self._judge((f, start_with_mode(problem, rigid, f, s)) for f in best for s in _SHARES)
+            if len(row) > 1:  # at frequencies apart: a start beside another leads nowhere new
+                grid = [min((one for one in grid if one.frequency == f), key=_cost) for f in row]
         found = [one for one in sorted(grid, key=_cost) if one.cost < math.inf]
         if not found:
             raise MethodError(
                 "No start could be simulated: every flexible joint tried makes this loop unstable; check the "
                 "controller's gains, its delay and the unit of the torque."
             )
-        self.history.progress(f"searching from a mode near {found[0].frequency:.3g} Hz, the best of {len(row)}")
+        self.history.progress(f"searching from a mode near {found[0].frequency:.3g} Hz, the best of {len(grid)}")
         given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in INITIAL}
-        if given:  # starts that come with the parameters are tried first, and are no reason to try no others
+        if given and not widely:  # starts that come with the parameters are tried first, and no reason to try no others
             own = found[0].values | given
             found = [Candidate(0.0, frequency_of(own), own), *found]
         return found
