@@ -39,7 +39,7 @@ def plain(value: Any) -> Any:
 @cache
 def _names(kind: Any) -> tuple[str, ...]:
     said = getattr(kind, "in_json", "").split()
-    every = [field.name for field in fields(kind) if "Array" not in str(field.type)]
+    every = [field.name for field in fields(kind) if "array" not in str(field.type).lower()]
     return tuple(dict.fromkeys(name for name in (*every, *said) if name[0] != "-" and f"-{name}" not in said))
 
 
