@@ -10,8 +10,7 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.config import Axis, File, controller_text, load
 from jointid.controller_id.fitting import Fitter
-from jointid.controller_id.learn import fill_from_declaration, learn_controller
-from jointid.controller_id.learned_controller import LearnedController
+from jointid.controller_id.learn import LearnedController, fill_from_declaration, learn_controller
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.search import Rival, simplest
 from jointid.controller_id.structures import Structure

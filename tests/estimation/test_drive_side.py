@@ -11,8 +11,7 @@ from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import prepare
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import LevenbergMarquardt, solve
 from jointid.uncertainty.covariance import Influence
 
 JOINT = ji.FlexibleJoint("prismatic")

@@ -17,8 +17,7 @@ from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, solve
+from jointid.solvers.solve import LevenbergMarquardt, Solution, solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 from tests.servos import Servo, servo

@@ -6,7 +6,7 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
 from jointid.estimation.windows import places_of
-from jointid.solvers.bounded_least_squares import damped_step
+from jointid.solvers.solve import damped_step
 from jointid.uncertainty.resampling import Sums, left_out, rows_of, total
 
 ANYWHERE = Bounds(np.full(3, -np.inf), np.full(3, np.inf))

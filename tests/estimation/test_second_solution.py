@@ -10,8 +10,7 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import LevenbergMarquardt, solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.model_tests import second_solution, widened_to_second
 from jointid.uncertainty.position_dependent_error import Uncertainty, cells, uncertainty

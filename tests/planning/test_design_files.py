@@ -11,7 +11,6 @@ import pytest
 
 import jointid as ji
 from jointid.config import load, loads
-from jointid.output.test_layout import lay_out
 from jointid.records.formats import read_table
 from tests.rigid_axis import run
 from tests.robots_plants import six, two
@@ -102,7 +101,7 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     values = {"inertia": 2.0, "viscous": 4.0, "coulomb": 1.0, "offset": 0.0}
     limits = ji.AxisLimits(stroke=1.0, speed=2.0, acceleration=10.0, torque=60.0)
     asked = {"values": values, "noise": {"log": 0.05}, "limits": limits, "duration": 3.0, "sample_time": 1e-3}
-    found = lay_out(file, ji.design(file.loop, injection=False, search_time=0.5, **asked))
+    found = file.lay_out(ji.design(file.loop, injection=False, search_time=0.5, **asked))
     (record,) = found.records()
     assert record.injected is None and "on the torque" not in found.description, "the drive adds nothing"
     found.write(tmp_path)
@@ -111,7 +110,7 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(columns["demand"], np.degrees(20.0 * reference.values), atol=1e-9)
     again = file.record(tmp_path / "test.csv", driving=True).reference
     np.testing.assert_allclose(again.values, reference.values, atol=1e-12)
-    both = lay_out(file, ji.design(file.loop, search_time=1.0, **asked))
+    both = file.lay_out(ji.design(file.loop, search_time=1.0, **asked))
     assert both.records()[0].injected is not None, "with a signal it tells more"
     assert "trajectory.yaml" not in both.files()
     both.write(tmp_path)

@@ -16,10 +16,9 @@ from jointid.planning import search as search_module
 from jointid.planning.designed import Design
 from jointid.planning.floor import least_deviation
 from jointid.planning.joints import JointModel
-from jointid.planning.objective import Objective
 from jointid.planning.plans import Plan, families_in
 from jointid.planning.predict import Noise, parse_goal
-from jointid.planning.search import search
+from jointid.planning.search import Objective, search
 from jointid.simulation import excitation
 from jointid.tuning.margins import joint_set
 from tests.planning.planned import LOOP, TRUTH, T, planned_record, predict_test

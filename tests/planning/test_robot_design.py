@@ -15,9 +15,8 @@ from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, Ro
 from jointid.planning import search as search_module
 from jointid.planning.design import design
 from jointid.planning.designed import Design
-from jointid.planning.objective import complete
 from jointid.planning.robots import RobotModel, _read_first, find_modes
-from jointid.planning.search import search
+from jointid.planning.search import complete, search
 from jointid.records.record import Channel, Record
 from jointid.simulation.synthesis import add_feed_forward, simulate
 from tests.estimation.robots.twin import identified

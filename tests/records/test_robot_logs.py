@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 import jointid as ji
 from jointid.config import loads
-from jointid.config.logged import describe_log
+from jointid.config.loading import describe_log
 from jointid.records.formats import read_table
 from jointid.records.inspection import recognise
 from tests.records.logged import stamped, write_bag

@@ -9,8 +9,7 @@ import pytest
 
 from jointid.common.arrays import orthonormal_basis, triangle
 from jointid.common.parameters import Parameter, Quantity
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Counted, Solution, Status, Step, solve
+from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, solve
 from tests.solvers.nist import REGRESSIONS, Array, Certified
 
 TIGHT = 1e-13

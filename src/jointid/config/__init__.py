@@ -3,7 +3,7 @@
 from jointid.config.axis import Axis
 from jointid.config.file import File
 from jointid.config.loading import controller_text, dumps, load, loads, save_with_controller
-from jointid.config.source import Run, Source
+from jointid.config.tables import Run, Source
 from jointid.config.toml import edit, move_paths, replace_table
 
 __all__ = [

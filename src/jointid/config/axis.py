@@ -1,4 +1,7 @@
-"""One axis of a file: its joint, columns, drive and controller, and its records."""
+"""One axis of a file: its joint, columns, drive and controller, their units, and its records.
+
+The torque constant is given once, below [joint], for the torque's channel and the controller.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,17 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
 from jointid.common.parameters import TORQUE_UNIT, Parameter
-from jointid.common.transmission import Transmission
+from jointid.common.text import join
+from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind, UnitError
-from jointid.config.axis_units import AxisUnits
-from jointid.config.declaration import Place, fault_at, locate, to_si
-from jointid.config.source import Source
-from jointid.config.tables import Values, make_method
+from jointid.config.declaration import Place, fault_at, locate, output_of, to_si
+from jointid.config.tables import Source, Values, make_method
 from jointid.estimation.methods.registry import Method, methods
-from jointid.models.controllers import Controller
+from jointid.models.controllers import Controller, declared_unit, numbers_of
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.limits import AxisLimits
@@ -29,6 +32,100 @@ from jointid.records.formats import Table as RecordedTable
 from jointid.records.reading import RecordReader
 from jointid.records.record import Record
 from jointid.records.writing import columns_to_write
+
+_AGREES = 1e-3  # of a gain: one that is written with four digits is the torque constant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisUnits:
+    """Units in which a file gives the numbers of an axis.
+
+    Attributes:
+        kind: how the load moves.
+        gear: between motor and load.
+        drive: with the torque constant.
+        torque: unit of the torque's channel as the joint has it: "A", "V", or None for N or N m.
+        side: of the controller's numbers.
+    """
+
+    kind: Kind = "revolute"
+    gear: Transmission | None = None
+    drive: Drive = field(default_factory=Drive)
+    torque: str | None = None
+    side: Side = "motor"
+
+    def kind_of(self, side: Side) -> Kind:
+        """Return the kind of motion of a side."""
+        return self.kind if self.gear is None else self.gear.kind_of(side)
+
+    @property
+    def constant(self) -> float | None:
+        """The torque constant: torque per plain number of a controller on the motor's side."""
+        return self.drive.torque_constant or self.drive.torque_per_volt
+
+    @property
+    def plain_gain(self) -> float:
+        """The gain of a controller whose numbers are given without a unit."""
+        return 1.0 if self.constant is None else self.constant * self._through
+
+    @property
+    def _through(self) -> float:
+        """The torque on the controller's side per torque of the motor."""
+        return 1.0 if self.gear is None or self.side == "motor" else abs(self.gear.motor_per_load)
+
+    def find_torque_unit(self, column: Column | None) -> str | None:
+        """Return the unit of the torque's channel for `torque`; None also for one that is not known."""
+        kind = self.kind_of(self.drive.side("torque", column))
+        known = known_units("torque", kind)
+        stated = None if column is None else column.stated_unit(known)
+        if stated not in known:
+            return None
+        try:
+            unit = self.drive.resolve_unit(units.unit(stated), kind).si
+        except UnitError:  # the record is refused for it
+            return None
+        return None if unit in TORQUE_UNIT.values() else unit
+
+    def gain(self, law: Controller, given: float | None, texts: Mapping[str, str]) -> tuple[float, str]:
+        """Return the gain from a controller's output to torque on its side, given or known, and the output's unit.
+
+        Args:
+            law: the controller.
+            given: the gain that the file gives.
+            texts: of its numbers that are given with a unit, by the path of their key.
+
+        Raises:
+            JointFileError: it is not known, or its numbers are of different outputs.
+        """
+        found, kind = dict[str, str](), self.kind_of(self.side)
+        for name in (one for one in texts if one in numbers_of(law)):
+            if output := output_of(texts[name], declared_unit(law, name), kind):
+                found.setdefault(output, name)
+        if len(found) > 1:
+            rest = f" has outputs in {' and '.join(found)}, as {join(list(found.values()))} say; use one unit."
+            raise JointFileError(fault_at(("controller",), rest, "unit"))
+        if not found:
+            plain = "A" if self.drive.torque_constant else "V" if self.drive.torque_per_volt else ""
+            return given or self.plain_gain, plain if given in (None, self.plain_gain) else ""
+        ((output, name),) = found.items()
+        known = self._torque_per(output)
+        if given is None and known is None:
+            rest = f" is of an output in {output}; expected what takes it to the torque: give the joint a "
+            rest += "torque_constant, or the drive its rated_torque."
+            raise JointFileError(fault_at(("controller", name), rest, "unit"))
+        if given is not None and known is not None and abs(given / known - 1) > _AGREES:
+            rest = f" is {given:g}, but {name} makes it {known:.6g}; leave the wrong one out."
+            raise JointFileError(fault_at(("controller", "gain"), rest))
+        return given or known or 1.0, output
+
+    def _torque_per(self, output: str) -> float | None:
+        """Return the torque per unit of an output; None where nothing but a gain can say it."""
+        try:
+            unit = self.drive.resolve_unit(units.unit(output), self.kind_of("motor"))
+        except UnitError:  # a share of a rated torque that is not there
+            return None
+        fits = unit.si in TORQUE_UNIT.values() if self.torque is None else unit.si == self.torque
+        return unit.factor * self._through if fits else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +199,19 @@ class Axis:
         like = self.columns.get(channel, Column())
         unit = like.stated_unit(known_units(channel, self.units.kind_of("motor")))
         return replace(like, column=name, unit=unit, optional=False, timing=None, tap=None, sample_time=None)
+
+    def with_columns_of(self, test: Record, prefix: str = "") -> Axis:
+        """Return the axis with a column of every channel of a designed test, and with the test's clock.
+
+        A column that the file does not name is in the unit of the motor's position, or of the torque.
+        """
+        columns, like = dict(self.columns), {"reference": "motor_position", "injected": "torque"}
+        for name in test.channels:
+            if name not in columns and self.drive.traces is None:
+                columns[name] = self.column_like(like.get(name, ""), prefix + name)
+        own_clock = self.source.sample_time in (None, next(iter(test.items()))[1].sample_time)
+        source = self.source if own_clock else replace(self.source, sample_time=None)
+        return replace(self, columns=columns, source=source)
 
     def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
         """Return the columns of the file that `File.write` makes, by their names."""

@@ -9,15 +9,14 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.config.axis import Axis
-from jointid.config.source import Run, Source
-from jointid.config.tables import FeedForward
+from jointid.config.tables import FeedForward, Run, Source
 from jointid.config.toml import Change
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
@@ -28,10 +27,13 @@ from jointid.models.joints import Joint
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot
 from jointid.records.chunks import Log, begin_together
-from jointid.records.formats import read_table
+from jointid.records.formats import format_of, read_table
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
+
+if TYPE_CHECKING:
+    from jointid.planning.designed import Design
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -323,6 +325,18 @@ class File:
             (_, first), *_ = each[0].items()
             table = {"t": first.time, **table}  # for whoever looks at the file
         write_columns(table, path, **self.source.options)
+
+    def lay_out(self, design: Design) -> Design:
+        """Return a design whose files have the columns, units and sides of this file.
+
+        Of several axes a column that the file does not name begins with the joint's name.
+        """
+        columns: dict[str, FloatArray] = {}
+        for axis, record in zip(self.axes, design.records(), strict=True):
+            wide = axis.with_columns_of(record, f"{axis.name}." if len(self.axes) > 1 else "")
+            columns |= wide.columns_to_write(record)
+        is_text = self.source.file is not None and format_of(self.source.file).name == "CSV"
+        return replace(design, columns=columns, options=self.source.options if is_text else {})
 
     def _run(self, path: str | os.PathLike[str]) -> Run:
         """Return the entry of the record at a path."""

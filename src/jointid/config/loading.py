@@ -1,4 +1,4 @@
-"""From TOML to a joint file and back; a controller and a parameter as text, without what is at its default."""
+"""From TOML to a joint file and back: whole, a controller or parameter without defaults, or one that reads a log."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import tomlkit
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT, Parameter
+from jointid.common.text import show
 from jointid.common.transmission import SIDES, Side
 from jointid.config import toml
 from jointid.config.axis import Axis, build_axis
@@ -22,6 +23,7 @@ from jointid.config.file import File
 from jointid.config.tables import read_tables
 from jointid.config.toml import Tables, edit, move_paths, parse_change, parse_toml, relocate_path, replace_table
 from jointid.models.controllers import FILTERS, LAWS, Controller, numbers_of, unit_of_number
+from jointid.records.inspection import InspectedChannel, Inspection, LoggedAxis
 
 _WORDS: Mapping[type, dict[str, str]] = {
     **{made: {"kind": kind} for kind, made in FILTERS.items()},
@@ -31,6 +33,20 @@ _WORDS: Mapping[type, dict[str, str]] = {
 
 _OF_AXIS = re.compile(r"^(\s*joint\.|(?=\s*method[.=]))")
 """Begins a change that is of a joint alone, where one is taken from a robot file."""
+
+_ASKED = """
+# The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive.
+# [controller]
+# law = "{}"
+# position_gain = "? N m/rad"
+# derivative_gain = "? N m s/rad"
+"""
+_CHANNELS = """
+[record.channels]
+# torque = { column = "?", unit = "N m" }
+# reference = { column = "?", unit = "rad" }
+# motor_position = { column = "?", unit = "rad" }
+"""
 
 
 def load(path: str | os.PathLike[str], changes: Iterable[str] = (), *, axis: str | None = None) -> File:
@@ -178,3 +194,40 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value
+
+
+def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
+    """Return the text of a joint file that reads an inspected log; what no log states is a remark.
+
+    The file is the log's path from the joint file's folder, the axis the number or name of one of several.
+    """
+    log = found.recognised
+    if log is None:
+        names = ", ".join(show(channel.name) for channel in found.channels)
+        text = tomlkit.dumps({"joint": {"kind": "revolute"}, "record": {"file": file}})
+        return f"# No profile of a drive knows these columns: {names}.\n\n{text}{_CHANNELS}{_ASKED.format('pd')}"
+    axes = {axis.name: axis for axis in log.axes}
+    axes |= {str(one.place["axis"]): one for one in log.axes if "axis" in one.place}
+    if axis is None and len(log.axes) == 1:
+        axis = log.axes[0].name
+    if axis not in axes:
+        got = "" if axis is None else f"; got {axis}"
+        raise RecordError(f"{found.file} has the axes {', '.join(map(show, axes))}{got}: name one of them (axis).")
+    chosen, columns = axes[axis], {channel.name: channel for channel in found.channels}
+    alone = {} if "torque" in chosen.channels else {"torque": "from_controller"}
+    tables = {
+        "joint": {"kind": "revolute"},
+        "record": {"file": file, **alone, **_clock(columns, chosen)},
+        "drive": {"profile": log.profile.name, **{key: value for key, value in chosen.place.items() if key != "index"}},
+    }
+    said = "".join(f"# {text}\n" for text in (log.sentence, *log.profile.assumed))
+    return f"{said}\n{tomlkit.dumps(tables)}{_ASKED.format(log.profile.law or 'pd')}"
+
+
+def _clock(columns: Mapping[str, InspectedChannel], axis: LoggedAxis) -> dict[str, Any]:
+    """Return the keys of [record] for several or restarting clocks."""
+    every = [columns[name] for name in axis.channels.values()]
+    times = {channel.time: channel.sample_time for channel in every if channel.time and channel.sample_time}
+    if len(times) > 1:
+        return {"resample": {"sample_time": float(f"{min(times.values()):.3g}"), "method": "linear"}}
+    return {"part": 0} if any(columns[name].stalls for name in times) else {}

@@ -1,32 +1,35 @@
 """The tables of a joint file and of a robot file: `JOINT_FILE` and `ROBOT_FILE`.
 
-A key is a setting of the class that uses it. Here stand the keys of the file's own, and how tables become values: those
-of [joint] and of [[joints]] are the same keys, and a joint file is one of one axis.
+A key is a setting of the class that uses it. Here stand the keys of the file's own, those of its records, and how
+tables become values: those of [joint] and of [[joints]] are the same keys, and a joint file is one of one axis.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, replace
+from dataclasses import MISSING, dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
+import numpy as np
+
 from jointid.common.errors import JointFileError
-from jointid.common.settings import Setting
+from jointid.common.settings import Setting, add_settings_to_docstring, declare, setting
 from jointid.common.transmission import Side, Transmission
-from jointid.common.units import Kind
+from jointid.common.units import Kind, units_of
 from jointid.config.declaration import Place, Reader, Table, fault_at, key, keys_of
-from jointid.config.source import Run, Source
-from jointid.estimation.methods.registry import CALLED, Method, MethodName, method_of, methods
+from jointid.estimation.methods.registry import CALLED, MODELS, ROBOT, Method, MethodName, method_of, methods
 from jointid.models.controllers import FILTERS, LAWS, Controller
 from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.limits import AxisLimits
 from jointid.models.position_forces import Gravity, PositionHarmonics
+from jointid.models.robots.inertial import MassProperties, is_physical
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from jointid.models.springs import SPRINGS, Spring
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
-from jointid.records.formats import TextOptions
+from jointid.records.formats import TextOptions, format_of
+from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
 
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
@@ -35,6 +38,94 @@ Values: TypeAlias = dict[str, Any]
 """What a table says, by its keys; a key that it leaves out has its default."""
 
 _TURN = 2 * math.pi  # rad
+
+
+@add_settings_to_docstring
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The file of the record, and how it is read; see `jointid.records.reading`."""
+
+    file: str | None = setting(None, "path of the record, from the joint file's folder", accept=format_of)
+    time: str | None = setting(
+        None, "name of the time column; without it, and without a sample time, the column called t or time"
+    )
+    time_unit: str | None = setting(
+        None, "unit of the time column; without it the one in its name, as in Time [ms], or s", choices=units_of("time")
+    )
+    sample_time: float | None = setting(
+        None, "time between samples, where there is no time column; beside one the two must agree", unit="s", above=0
+    )
+    start: float | None = setting(None, "first instant to read, of the log's own clock", unit="s")
+    stop: float | None = setting(None, "last instant to read, of the log's own clock", unit="s")
+    torque: Literal["logged", "from_controller"] | None = setting(
+        None,
+        "whether the torque is a channel of the record, or what the controller outputs for the motor position; without "
+        "it logged, or for DIDIM from the controller where no torque channel is declared",
+    )
+    part: int | None = setting(
+        None, "which part between jumps of the clock to read, counted from 1; 0 takes the longest", at_least=0
+    )
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
+    resample: Resampling | None = setting(
+        None,
+        "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
+    )
+
+    def __post_init__(self) -> None:
+        if self.file is not None:
+            format_of(self.file, **self.options)
+
+
+@add_settings_to_docstring
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One of several records that are identified together."""
+
+    file: str = field(metadata=declare("path of the record, from the joint file's folder", accept=format_of))
+    added_inertia: float = setting(
+        0.0,
+        "what is known to have been added to the load, as it is there, beyond what is shared",
+        unit="kg or kg m2",
+        at_least=0,
+        systems=MODELS,
+    )
+    own: tuple[str, ...] = setting(
+        (),
+        "names of parameters of this record's own, which the others do not share; the motor's state at the first "
+        "sample always is",
+        systems=MODELS,
+    )
+    payload_mass: float | None = setting(
+        None, "of what the last link carries in this record beside the robot's model [kg]", above=0, systems=ROBOT
+    )
+    payload_center: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0),
+        "its centre of mass in the frame of the last link [m]",
+        systems=ROBOT,
+    )
+    payload_inertia: tuple[float, float, float, float, float, float] = setting(
+        6 * (0.0,),
+        "its inertia xx, xy, xz, yy, yz, zz about that centre, along the axes of the last link [kg m2]",
+        systems=ROBOT,
+    )
+
+    def __post_init__(self) -> None:
+        stated = any((*self.payload_center, *self.payload_inertia))
+        if (stated and self.payload_mass is None) or (self.payload and not is_physical(np.array(self.payload))):
+            raise JointFileError(
+                f"payload_inertia {list(self.payload_inertia)} with payload_mass = {self.payload_mass} is of no body; "
+                "expected a mass, and principal moments not below 0, none above the sum of the others: correct them."
+            )
+
+    @property
+    def payload(self) -> tuple[float, ...]:
+        """`Record.payload` of what the last link of a robot carries; empty without a mass."""
+        if self.payload_mass is None:
+            return ()
+        inertia = np.zeros((3, 3))
+        inertia[np.triu_indices(3)] = self.payload_inertia
+        body = MassProperties(self.payload_mass, np.array(self.payload_center), inertia + np.triu(inertia, 1).T)
+        return tuple(map(float, body.inertial))
 
 
 def _fill(keys: Mapping[str, Setting]) -> Callable[..., Values]:

@@ -51,8 +51,7 @@ from jointid.records.checks import still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import DELAY
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import LevenbergMarquardt, solve
 
 _SECONDS = 20.0  # of the processor, for the search
 _FITS = 0.15  # of the torque: largest residual of a right model

@@ -49,8 +49,7 @@ from jointid.records.record import Record, Resampled
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.simulate import Outcome, require_success
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, solve
+from jointid.solvers.solve import LevenbergMarquardt, Solution, solve
 
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
 _OTHER_LAW = "the controller is not that of the identification, which is right only if its gains were changed"

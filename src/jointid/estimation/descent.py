@@ -28,8 +28,7 @@ from jointid.models.friction import PARTS, MotionSize
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import Spring
 from jointid.simulation.start import wound_up
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Counted, Solution, Status, Step, Tally, solve
+from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, Tally, solve
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 

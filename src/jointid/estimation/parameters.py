@@ -39,11 +39,13 @@ from jointid.models.robots.base_parameters import (
     INERTIAL_ORDER,
     formula_of,
     group_columns,
+    inertial_symbol,
+    name_of,
     name_sum,
     standard_symbols,
+    symbol_of,
 )
 from jointid.models.robots.inertial import SYMBOLS, UNITS
-from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.plant import DELAY, LOAD_STATE, Numbers, Place, law_places

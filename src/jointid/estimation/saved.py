@@ -31,7 +31,7 @@ from jointid.estimation.result.verdict import Check, judged
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.models.robots.names import name_of
+from jointid.models.robots.base_parameters import name_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.plant import DELAY

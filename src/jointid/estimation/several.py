@@ -40,8 +40,7 @@ from jointid.estimation.result.build_result import (
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, solve
+from jointid.solvers.solve import LevenbergMarquardt, Solution, solve
 from jointid.uncertainty.covariance import Covariance, Influence
 from jointid.uncertainty.identifiability import find_separable
 from jointid.uncertainty.position_dependent_error import cells, uncertainty

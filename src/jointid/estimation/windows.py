@@ -42,8 +42,7 @@ from jointid.records.record import Record
 from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
-from jointid.solvers.solve import Step, solve
+from jointid.solvers.solve import LevenbergMarquardt, Step, damped_step, solve
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import cells

@@ -20,10 +20,9 @@ from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.planning.designed import Design
 from jointid.planning.joints import RUNS, JointModel, joint_model
-from jointid.planning.objective import ASTRAY, Objective, complete
 from jointid.planning.predict import Noise, parse_goal
 from jointid.planning.robots import FeedForward, RobotModel, robot_model
-from jointid.planning.search import find_best
+from jointid.planning.search import ASTRAY, Objective, complete, find_best
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 

@@ -1,21 +1,32 @@
-"""The verb `solve`: problems, solutions and several starts."""
+"""The verb `solve`: a problem, its solution, and bounded least squares by Levenberg-Marquardt from several starts.
+
+Each step of the solver minimises the damped linear problem within the bounds.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.parameters import Bounds, Parameter
 
-if TYPE_CHECKING:
-    from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-
 _SAME = 1e-4  # of the criterion: two ends so near are one
+_DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
+_EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
+_SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
+_PATIENCE = 8  # steps that change less than the tolerance, or that are refused
+_RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide: the root of the machine precision
+_NEAREST = 1e-3  # of its reach: that of a step after many that failed
+_CUT = 0.999  # of its reach: a step that the reach has cut
+_IDLE = 1e-2  # of the residual
+_THERE = 1e-2  # of a tolerance
+_LARGEST = 1e140  # of a residual and its derivatives: those of a loop that runs away have no squares
 
 
 class Problem(Protocol):
@@ -143,6 +154,137 @@ class Counted:
     def remember(self, x: FloatArray, residual: FloatArray, derivatives: FloatArray) -> None:
         """Cache the residual and derivatives at a point."""
         self._last = (x.copy(), (residual, derivatives))
+
+
+_CHANGED = {Status.STEP: "the parameters", Status.COST: "the criterion"}
+
+
+@dataclass(frozen=True, slots=True)
+class LevenbergMarquardt:
+    """Settings of bounded least squares by Levenberg-Marquardt.
+
+    Attributes:
+        tolerance: relative, on the criterion and the parameters.
+        evaluations: at most, each with the derivatives.
+        reach: (parameters,) how far one step may move each; as far as its bounds when None. A step far outside where
+            the linear model holds may lower the error, and yet end where the torque depends on a parameter no more.
+        worth: relative, of the criterion: a step of which the linear model promises less is not made, and nothing
+            evaluated. For problems whose evaluations are dear; 0 makes every step.
+        enough: norm of a residual that is as good as none, where the search is over.
+    """
+
+    tolerance: float = 1e-8
+    evaluations: int = 60
+    reach: FloatArray | None = None
+    worth: float = 0.0
+    enough: float = 0.0
+
+    def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
+        """Run one descent; the trace begins with the start."""
+        counted, bounds, x = Counted.of(problem), Bounds.of(problem.free), start
+        before = counted.evaluations
+        error, J = counted.linearise(x)
+        trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
+        message = ""
+        usable = J.any() and _have_squares(error, J)
+        status, reach, share, idle, refused = None if usable else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
+        while status is None and used < self.evaluations and trace[-1].norm > self.enough:
+            norm = trace[-1].norm
+            step = damped_step(error, J, bounds.shift_to(x, reach), damping, bounds.upper - bounds.lower)
+            cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
+            worthless = self.worth > 0.0 and damping <= _DAMPING and not cut
+            if worthless and _gain(norm, error + J @ step) <= self.worth:
+                status = Status.COST
+                message = (
+                    f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
+                )
+                break
+            after, slopes = counted.linearise(x + step)
+            used += 1
+            gained = _gain(norm, after) if _have_squares(after, slopes) else -math.inf
+            refused = 0 if gained > 0.0 else refused + 1
+            small = bool(np.all(np.abs(step) <= self.tolerance * np.abs(x)))
+            if gained > 0.0:
+                x, error, J = x + step, after, slopes
+                trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
+                watch(trace[-1])
+            # A step that had to be damped or cut so much is short for another reason than that the end is near.
+            if damping <= 1.0 and small and not cut:
+                status = Status.STEP
+            elif damping <= 1.0 and abs(gained) <= self.tolerance and not cut:
+                status = Status.COST
+            elif gained <= 0.0:
+                # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
+                limit = self.tolerance if refused < _PATIENCE else max(self.tolerance, _RESOLVED)
+                if _at_minimum(bounds, x, error, J, limit / _THERE):
+                    status, message = Status.COST, "converged: steps change the criterion by no more than rounding"
+            if status is None and damping >= _MOST:
+                status = Status.NO_DESCENT
+            # Steps with a reach, long or short, that all change nothing have come to the end.
+            idle = idle + 1 if reach is not None and abs(gained) <= self.tolerance else 0
+            status = Status.COST if status is None and idle >= _PATIENCE else status
+            if reach is not None and self.reach is not None:
+                moved = float(np.max(np.abs(step) / self.reach))
+                shorter = max(_SHORTER * min(moved, share), _NEAREST)
+                share = min(_FARTHER * share, 1.0) if gained > 0.0 else shorter
+                reach = share * self.reach
+            damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
+        enough = status is not Status.NOT_EVALUABLE and trace[-1].norm <= self.enough
+        status = Status.COST if enough else status or Status.EVALUATION_LIMIT
+        if enough:
+            message = "converged: what is left is no more than the problem itself may err"
+        message = message or explain(status, used, self.tolerance)
+        return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
+
+
+def _gain(norm: float, after: FloatArray) -> float:
+    """Relative decrease of the criterion from a residual's norm to another residual."""
+    return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
+
+
+def _have_squares(*arrays: FloatArray) -> bool:
+    """Test whether arrays are numbers that can be squared and summed."""
+    return all(bool(np.all(np.abs(array) < _LARGEST)) for array in arrays)
+
+
+def damped_step(
+    error: FloatArray, J: FloatArray, room: Bounds, damping: float = 0.0, widths: FloatArray | float = math.inf
+) -> FloatArray:
+    """Minimise ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the column norms.
+
+    Args:
+        error: (rows,).
+        J: its derivatives, (rows, free).
+        room: bounds of the step.
+        damping: factor of the penalty.
+        widths: (free,) distances between the bounds of each parameter.
+    """
+    from scipy.optimize import lsq_linear
+
+    norms = np.linalg.norm(J, axis=0)
+    # What moves nothing, from bound to bound, is not moved.
+    idle = norms * np.where(norms > 0, widths, 0.0) <= _IDLE * np.linalg.norm(error)
+    J, norms = np.where(idle, 0.0, J), np.where(idle, 1.0, norms)
+    triangle = np.asarray(np.linalg.qr(np.column_stack([J / norms, error]), mode="r"))[: norms.size]
+    matrix = np.vstack([triangle[:, :-1], np.sqrt(damping) * np.eye(norms.size)])
+    target = np.concatenate([-triangle[:, -1], np.zeros(norms.size)])
+    found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")
+    return room.clip(found.x / norms)
+
+
+def _at_minimum(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
+    """Test whether the possible gain is within rounding of the tolerance."""
+    moving = ~bounds.find_blocking(x, -(J.T @ error))
+    columns = J[:, moving] / column_norms(J[:, moving])
+    step = np.linalg.lstsq(columns, error, rcond=1e-12)[0]
+    return bool(np.sum((columns @ step) ** 2) < _THERE * tolerance * max(float(error @ error), 1e-300))
+
+
+def explain(status: Status, evaluations: int, tolerance: float) -> str:
+    """Return why least squares ended, in a sentence with its numbers."""
+    if status in _CHANGED:
+        return f"converged: {_CHANGED[status]} changed by less than {100 * tolerance:g} %"
+    return f"not converged after {evaluations} evaluations"
 
 
 def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Watch = lambda _: None) -> Solution:

@@ -24,8 +24,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import number
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Counted, Problem, solve
+from jointid.solvers.solve import Counted, LevenbergMarquardt, Problem, solve
 from jointid.uncertainty.covariance import Covariance, covariance_of
 from jointid.uncertainty.identifiability import Combination
 

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from jointid.apps.cli import console
-from jointid.apps.cli.terminal import Bars
+from jointid.apps.cli.console import Bars
 from jointid.common.messages import Detail, follow, ignore_progress
 from tests.rigid_axis import run, write_axis
 

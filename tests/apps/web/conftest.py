@@ -9,9 +9,8 @@ import pytest
 import uvicorn
 
 import jointid as ji
-from jointid.apps.web import application as serving
 from jointid.apps.web import folder as bound
-from jointid.apps.web.application import build_application
+from jointid.apps.web.routes import build_application, run
 from tests.apps.web.asking import ADDRESS, TOKEN, WAIT, Asker, Served, TestClient
 
 TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
@@ -64,7 +63,7 @@ def served(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
 
     monkeypatch.setattr(uvicorn.Server, "run", begin_and_note)
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        thread = threading.Thread(target=serving.run, args=(build_application(folder, TOKEN), listening))
+        thread = threading.Thread(target=run, args=(build_application(folder, TOKEN), listening))
         thread.start()
         made = Served(listening.getsockname()[1])
         assert made.ask("GET", "/")[0] == 200  # it has begun

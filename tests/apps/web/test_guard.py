@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from jointid.apps.web.application import build_application
+from jointid.apps.web.routes import build_application
 from tests.apps.web.asking import TOKEN, UNITS, Asker, TestClient
 
 PAGE = "http://127.0.0.1:8765"
@@ -73,7 +73,7 @@ def test_pages_bring_no_script_or_style_of_their_own(client: TestClient, asker: 
         assert text.count("<script") == text.count(f'<script src="/{TOKEN}/static/page.js"') == 1
 
 
-@pytest.mark.parametrize("path", ["/static/../application.py", "/static/%2e%2e/worker.py", "/runs/1/_run.json", "/x"])
+@pytest.mark.parametrize("path", ["/static/../routes.py", "/static/%2e%2e/worker.py", "/runs/1/_run.json", "/x"])
 def test_only_what_is_meant_to_be_had_is_given(client: TestClient, path: str) -> None:
     assert client.get(path).status_code == 404
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from jointid.apps.web import folder as folder_module
-from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Draft
+from jointid.apps.web.routes import build_application
 from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker, TestClient
 from tests.apps.web.conftest import TRUTH
 from tests.rigid_axis import run as command

@@ -9,8 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from jointid.apps.web import folder as bounds
-from jointid.apps.web.application import build_application
 from jointid.apps.web.form import clean_name
+from jointid.apps.web.routes import build_application
 from tests.apps.web.asking import ADDRESS, TOKEN, Asker, TestClient
 
 HOSTILE = '../../<img src=x onerror=alert(1)>".csv'

@@ -23,13 +23,11 @@ from jointid.apps.cli import console
 from jointid.apps.cli.campaign import campaign
 from jointid.apps.cli.console import clear_bars, put, tell
 from jointid.apps.cli.demo import demo
-from jointid.apps.cli.diagnose import diagnose
 from jointid.apps.cli.identify import identify, learn_controller, payload, tune
-from jointid.apps.cli.inspection import inspect
-from jointid.apps.cli.plan import design
+from jointid.apps.cli.inspection import diagnose, inspect
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
-from jointid.apps.cli.simulate import reproduce, simulate
+from jointid.apps.cli.simulate import design, reproduce, simulate
 from jointid.common.errors import JointidError
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1

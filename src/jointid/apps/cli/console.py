@@ -1,4 +1,4 @@
-"""Common to commands: the options that most of them take, where they print, and what they may write."""
+"""Common to commands: options, where they print answers and progress, and what they may write."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from jointid.common.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
     from jointid import Estimate
-    from jointid.apps.cli.terminal import Bars
     from jointid.config import File
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
@@ -39,6 +39,7 @@ unprinted: list[OSError] = []
 
 _BETWEEN = 10.0  # seconds between two lines on one stage
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
+_BESIDE = 10  # characters of a line that are not the stage's
 
 
 def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
@@ -222,11 +223,38 @@ def put(text: str, stream: IO[str]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-@lru_cache(maxsize=1)
-def _bars() -> Bars:
-    from jointid.apps.cli.terminal import Bars
+class Bars:
+    """Draws on the standard error one line that is rewritten: the stage, or how far a piece of work is.
 
-    return Bars()
+    What is done leaves nothing there, but for a sentence that is longer than a line.
+
+    Args:
+        console: to draw on; one of the standard error when None.
+    """
+
+    def __init__(self, console: Console | None = None) -> None:
+        from rich.console import Console
+
+        self._console = console or Console(file=sys.stderr)
+        self._status = self._console.status("")
+
+    def __call__(self, message: str) -> None:
+        """Rewrite the line; print a sentence that is longer above it."""
+        from rich.text import Text
+
+        stage = printable(message.brief if isinstance(message, Detail) and not message.pace else message)
+        if len(stage) > self._console.width - _BESIDE:
+            self._console.print(Text(stage), soft_wrap=True)
+        elif stage:
+            self._status.update(Text(stage))
+            self._status.start()
+
+    def clear(self) -> None:
+        """Take the line off."""
+        self._status.stop()
+
+
+_bars = lru_cache(maxsize=1)(Bars)
 
 
 def listen(quiet: bool) -> Progress:

@@ -32,7 +32,7 @@ def serve(
     """
     for module in ("uvicorn", "starlette", "python_multipart"):
         extra(module, "web", "The page")
-    from jointid.apps.web.application import build_application, run
+    from jointid.apps.web.routes import build_application, run
 
     require_room(folder)
     with explain(folder):

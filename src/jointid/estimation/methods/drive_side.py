@@ -56,7 +56,7 @@ from jointid.simulation.drive_side import (
     prescribe,
 )
 from jointid.simulation.plant import LOAD_STATE
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
+from jointid.solvers.solve import LevenbergMarquardt, damped_step
 from jointid.uncertainty.covariance import Influence
 
 _LOAD_PARAMETERS = (

@@ -40,7 +40,7 @@ from jointid.estimation.problems.inverse_model import (
 )
 from jointid.models.controllers import number
 from jointid.models.joints import ClosedLoop
-from jointid.models.robots.names import symbol_of
+from jointid.models.robots.base_parameters import symbol_of
 from jointid.models.robots.robot import Robot, RobotLoop, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
@@ -67,8 +67,7 @@ from jointid.simulation.loop_input import AxisInput, LoopInput, change_controlle
 from jointid.simulation.plant import LOAD_STATE, Bools, Numbers, Place, names_of
 from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, run_loop
 from jointid.simulation.start import INITIAL, Initial
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import LevenbergMarquardt, solve
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
 _FAILED = 1e3  # times the measured torque: the error of a candidate that cannot be simulated

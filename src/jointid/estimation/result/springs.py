@@ -38,8 +38,7 @@ from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Sub
 from jointid.estimation.starts.flexible_joint import FASTEST, crossover, divide, frequency_of
 from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
-from jointid.solvers.solve import Solution, Tally, solve
+from jointid.solvers.solve import LevenbergMarquardt, Solution, Tally, damped_step, solve
 from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Identifiability, Known, find_separable, sums_of
 from jointid.uncertainty.model_tests import flexible_against_rigid

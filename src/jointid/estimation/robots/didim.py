@@ -71,8 +71,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, Numbers, values_of_joint
 from jointid.simulation.simulate import Outcome, motion_at
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
-from jointid.solvers.solve import Solution, Status
+from jointid.solvers.solve import LevenbergMarquardt, Solution, Status, damped_step
 from jointid.uncertainty.covariance import Covariance, Influence, white
 from jointid.uncertainty.identifiability import find_separable
 

@@ -30,8 +30,7 @@ from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.simulation.simulate import Outcome
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import LevenbergMarquardt, solve
 
 if TYPE_CHECKING:
     from jointid.estimation.problems.simulated import Simulated

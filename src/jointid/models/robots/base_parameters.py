@@ -4,6 +4,10 @@ Of the ten inertial parameters of each link and its rotor's inertia many act on 
 the base parameters, are found from the columns in random motions: a column that is a sum of others before it adds its
 parameter to theirs [Gautier 1991; Khalil and Dombre 2002, ch. 9.4]. Columns are divided by their lengths first, so
 that neither units nor the size of a robot decide what is 0.
+
+Parameters are named alike by every method. A number of a motor or a spring is named by its joint and what it is,
+"elbow.viscous". A base parameter is named by the symbol of its first inertial parameter, "Izz1". The sum of a rotor and
+its link about an axis that is none of the link's frame is "elbow.inertia".
 """
 
 from __future__ import annotations
@@ -13,12 +17,47 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.text import number
 from jointid.models.robots.inertial import SYMBOLS
-from jointid.models.robots.names import inertial_symbol, name_of, symbol_of
 from jointid.models.robots.robot import Robot
 
 _ZERO = 1e-8  # of a column: what is left of one that is a sum of others
 INERTIAL_ORDER = (4, 5, 6, 8, 9, 7, 1, 2, 3, 0)
 """Inertial parameters of a link, those first that are kept: m, mz and Iyy are passed on to its parent."""
+
+_SYMBOLS = {
+    "inertia": "ZZ",
+    "rotor_inertia": "Ia",
+    "viscous": "Fv",
+    "viscous_forwards": "Fv+",
+    "viscous_backwards": "Fv-",
+    "coulomb": "Fc",
+    "stribeck_force": "FS",
+    "friction_per_torque": "mu",
+    "offset": "offset",
+    "stiffness": "K",
+    "damping": "D",
+    "link_viscous": "FvL",
+    "link_viscous_forwards": "FvL+",
+    "link_viscous_backwards": "FvL-",
+    "link_coulomb": "FcL",
+    "link_stribeck_force": "FSL",
+}
+
+
+def symbol_of(quantity: str, joint: int) -> str:
+    """Return the symbol of a joint's number with the joint's place from 1: "Fc2", "Fv2+"; of others its name."""
+    symbol = _SYMBOLS.get(quantity, quantity)
+    word = symbol.rstrip("+-")
+    return f"{word}{joint + 1}{symbol[len(word) :]}"
+
+
+def name_of(quantity: str, joint: str) -> str:
+    """Return the name of a number of the joint with this name: "elbow.viscous"."""
+    return f"{joint}.{quantity}"
+
+
+def inertial_symbol(symbol: str, link: int) -> str:
+    """Return the symbol of a link's inertial parameter with the link's place from 1: "Izz1"."""
+    return f"{symbol}{link + 1}"
 
 
 def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:

@@ -18,9 +18,8 @@ from jointid.models.robots.robot import Robot
 from jointid.output.export.actuators import isaac_lab, mjlab
 from jointid.output.export.bodies import Model, read_robot_model
 from jointid.output.export.joint_file import joint_file
-from jointid.output.export.joint_model import JointModel
+from jointid.output.export.joint_model import JointModel, controllers_of, pd_law
 from jointid.output.export.mjcf import mjcf
-from jointid.output.export.pd_law import controllers_of, pd_law
 from jointid.output.export.state_space import state_space, state_space_file
 from jointid.output.export.urdf import urdf
 

@@ -14,8 +14,7 @@ from typing import Any, TypeAlias
 
 from jointid.models.friction import Friction
 from jointid.output.export.bodies import Body, Model, require_timestep, robot_bodies
-from jointid.output.export.joint_model import number
-from jointid.output.export.pd_law import PDLaw, in_steps
+from jointid.output.export.joint_model import PDLaw, in_steps, number
 
 _TIMESTEP = 5e-3  # s, of the physics
 _RISING = Friction("stribeck")

@@ -28,8 +28,7 @@ from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties, is_physical, mass_properties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import Spring
-from jointid.output.export.joint_model import JointModel, comments, number
-from jointid.output.export.pd_law import PDLaw
+from jointid.output.export.joint_model import JointModel, PDLaw, comments, number
 
 _GRAVITY = 9.81  # along -z, m/s2; what a link weighs does not depend on it, see `solid_of`
 _AXES = {"revolute": np.array([0.0, -1.0, 0.0]), "prismatic": np.array([1.0, 0.0, 0.0])}

@@ -1,10 +1,13 @@
-"""A joint's estimate as every export writes it: its numbers on either side of a transmission, and what is lost of them.
+"""A joint's estimate as every export writes it, on either side of its transmission, and what is lost of it.
+
+A controller becomes the law of a simulator's actuator: ``tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff``.
 
 Nothing in the comments of an export depends on the day or on the machine: the same answer gives the same bytes.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -18,10 +21,11 @@ from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter, show_value
+from jointid.models.controllers.filters import as_filter
+from jointid.models.controllers.laws import PD, Cascade
 from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.position_forces import Gravity
-from jointid.output.export.pd_law import PDLaw, pd_law
 from jointid.output.json import ESTIMATE_SCHEMA
 
 _LONGEST = 300  # characters of a comment
@@ -48,6 +52,76 @@ class Mass(NamedTuple):
     coulomb: float
     even: bool
     force: float
+
+
+@dataclass(frozen=True, slots=True)
+class PDLaw:
+    """A law of position and velocity.
+
+    Attributes:
+        stiffness: kp, N m/rad or N/m. damping: kd, N m s/rad or N s/m.
+        share: of the reference's velocity that kd acts on; 0 where the law brakes on the velocity alone.
+        limit: of the torque, both ways; infinite without one.
+        command_delay: s, by which the law sees its commands late.
+        delay: s, from the position to the torque that follows from it.
+        lost: a sentence for each part of the controller that is not in this law.
+    """
+
+    stiffness: float
+    damping: float
+    share: float
+    limit: float
+    command_delay: float
+    delay: float
+    lost: tuple[str, ...] = ()
+
+    def scale(self, ratio: float) -> PDLaw:
+        """Return the law where torques are `ratio` times as large."""
+        size = abs(ratio)
+        return replace(
+            self, stiffness=size**2 * self.stiffness, damping=size**2 * self.damping, limit=size * self.limit
+        )
+
+
+def pd_law(controller: Controller | None) -> PDLaw | None:
+    """Return a controller as a law of position and velocity, in the joint's torque; None where it is none.
+
+    A cascade without integral is one: ``kp`` is the product of its two gains, and ``kd`` that of its velocity loop.
+    """
+    if isinstance(controller, Cascade):
+        gains = (controller.velocity_gain * controller.position_gain, controller.velocity_gain)
+        share, velocity_limit = controller.velocity_feedforward, controller.velocity_limit
+    elif isinstance(controller, PD):
+        gains, velocity_limit = (controller.position_gain, controller.derivative_gain), math.inf
+        share = 0.0 if controller.reference_velocity == "none" else 1.0
+    else:
+        return None
+    numerator, denominator = as_filter(controller.velocity_filter).coefficients(controller.period or 1e-3)
+    numbers = numbers_of(controller)
+    forward = [name.replace("_", " ") for name, value in numbers.items() if name.endswith("_feedforward") and value]
+    beside = {
+        "the integral of the controller": numbers.get("integral_gain"),
+        "the limit of the velocity command": velocity_limit < math.inf,
+        "the filter of the velocity": len(numerator) + len(denominator) > 2,
+        "the filters of the torque": controller.torque_filters,
+        "the mean of the reference over a time": controller.reference_average,
+        "the interpolation of the reference": controller.interpolation in ("linear", "cubic"),
+        f"the delay of {1e3 * controller.delay:.4g} ms from position to torque": controller.delay,
+        **{f"the {name}": name != "velocity feedforward" for name in forward},
+    }
+    force = controller.gain * controller.ratio**2
+    return PDLaw(
+        force * gains[0], force * gains[1], share, controller.limit * controller.gain * abs(controller.ratio),
+        controller.reference_delay, controller.delay, tuple(said for said, there in beside.items() if there),
+    )  # fmt: skip
+
+
+def in_steps(seconds: float, step: float) -> tuple[int, list[str]]:
+    """Return a delay in whole simulation steps, and the remainder, both in s."""
+    steps = round(seconds / step)
+    if abs(steps * step - seconds) <= 1e-9:
+        return steps, []
+    return steps, [f"a part of the delay of {1e3 * seconds:.4g} ms: {steps} steps of {1e3 * step:.4g} ms are written"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,3 +366,13 @@ def identifier(wanted: str) -> str:
 def number(value: float) -> str:
     """Return a number with all its digits, as every one of the languages reads it."""
     return repr(float(value) + 0.0)  # of 0 there is no negative
+
+
+def controllers_of(estimate: object) -> Sequence[Controller | None]:
+    """Return the controllers of an estimate, with their identified numbers."""
+    if not isinstance(estimate, Estimate):
+        return ()
+    if estimate.robot is not None:
+        return getattr(estimate.robot.setup, "controllers", ())
+    loop = estimate.settings.loop
+    return () if loop is None else (loop.controller,)

@@ -34,8 +34,7 @@ from jointid.output.export.bodies import (
     solid_of,
     triple,
 )
-from jointid.output.export.joint_model import JointModel, identifier, number
-from jointid.output.export.pd_law import PDLaw, in_steps
+from jointid.output.export.joint_model import JointModel, PDLaw, identifier, in_steps, number
 
 Control = Literal["torque", "pd"]
 

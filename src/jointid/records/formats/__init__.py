@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import beside
-from jointid.records.formats import arrays, bags, columnar, folder, json, text
+from jointid.records.formats import arrays, bags, json, text
 from jointid.records.formats.table import Table, join_tables
 from jointid.records.formats.text import TextOptions
 
@@ -38,7 +38,7 @@ class Format:
 
 
 _TEXT = Format("CSV", (".csv", ".txt", ".tsv", ".dat"), None, text.read_text, text.write_text, True)
-_FOLDER = Format("folder of files", (), folder.read_folder)
+_FOLDER = Format("folder of files", (), bags.read_folder)
 _BAG = Format("ROS 2 bag", bags.SUFFIXES, bags.read_bag)
 
 FORMATS: tuple[Format, ...] = (
@@ -48,8 +48,8 @@ FORMATS: tuple[Format, ...] = (
     Format("NPZ", (".npz",), arrays.read_npz),
     Format("JSON lines", (".jsonl", ".ndjson"), json.read_json, is_text=True),
     Format("HDF5", (".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
-    Format("Parquet", (".parquet", ".pq"), None, columnar.read_parquet, columnar.write_parquet),
-    Format("TDMS", (".tdms",), columnar.read_tdms),
+    Format("Parquet", (".parquet", ".pq"), None, arrays.read_parquet, arrays.write_parquet),
+    Format("TDMS", (".tdms",), arrays.read_tdms),
     _FOLDER,
     _BAG,
 )
@@ -67,7 +67,7 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     packed, suffix = path.suffix.lower() == ".gz", Path(path.name.lower().removesuffix(".gz")).suffix
     possible = [one for one in FORMATS if suffix in one.suffixes and (one.is_text or not packed)]
     if is_folder or not path.suffix:
-        possible = [_FOLDER if is_folder and folder.is_record(path) else _BAG]
+        possible = [_FOLDER if is_folder and bags.is_record(path) else _BAG]
     if not possible:
         known = "; ".join(f"{entry.name}: {', '.join(entry.suffixes)}" for entry in FORMATS if entry.suffixes)
         raise RecordError(
