@@ -40,7 +40,7 @@ class Engine(Peer):
 
 
 def _closed(law: Law) -> Any:
-    from jointid.models.controllers import PD, Cascade, DigitalFilter
+    from jointid.controller import PD, Cascade, DigitalFilter
     from jointid.models.joints import ClosedLoop, FlexibleJoint
 
     filtered = DigitalFilter((law.now, law.before), (1.0, -law.memory))

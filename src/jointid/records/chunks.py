@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from jointid.common.errors import RecordError
 from jointid.records.clock import Cut, is_same_rate
-from jointid.records.columns import Column
+from jointid.records.columns import Column, as_columns
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_blocks
 from jointid.records.formats.table import join_tables
@@ -61,7 +61,7 @@ class Log:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        own = any(isinstance(c, Column) and (c.sample_time or c.time) for c in self.columns.values())
+        own = any(c.sample_time or c.time for c in as_columns(self.columns).values())
         if own or self.settings.get("resample") is not None or self.settings.get("cut", Cut()) != Cut():
             raise RecordError(f"A record that is read in chunks {_ONE_CLOCK}.")
 

@@ -105,6 +105,11 @@ class Column:
         return named if named in known and named != self.stated_unit(known) else None
 
 
+def as_columns(given: Mapping[str, str | Column]) -> dict[str, Column]:
+    """Return the column of each channel, of which the name alone may be given."""
+    return {channel: Column(one) if isinstance(one, str) else one for channel, one in given.items()}
+
+
 def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     """Unit at the end of a column's name; unknown ones only in square brackets."""
     match = _IN_BRACKETS.search(column)

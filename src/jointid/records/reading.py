@@ -21,7 +21,16 @@ from jointid.common.text import pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
 from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate
-from jointid.records.columns import POSITIONS, Column, find_wrap, finite_faults, known_units, restore_sign, unwrap
+from jointid.records.columns import (
+    POSITIONS,
+    Column,
+    as_columns,
+    find_wrap,
+    finite_faults,
+    known_units,
+    restore_sign,
+    unwrap,
+)
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Tap, Timing, refer_channel
@@ -106,8 +115,8 @@ class RecordReader:
 
     def build_record(self, table: Table, name: str) -> Record:
         """Build the record that a table holds."""
-        given, time, period = self.columns, self.time, self.sample_time
-        wanted = {n: Column(c) if isinstance(c := given[n], str) else c for n in CHANNELS if n in given}
+        given, time, period = as_columns(self.columns), self.time, self.sample_time
+        wanted = {name: given[name] for name in CHANNELS if name in given}
         if any(column.sample_time or column.time for column in wanted.values()):
             table = _cut_tails(table)
         if time is None and period is None and self.drive.traces is not None:

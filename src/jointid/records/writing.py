@@ -12,7 +12,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.transmission import Transmission
 from jointid.records.clock import is_same_rate
-from jointid.records.columns import Column, unit_in_name
+from jointid.records.columns import Column, as_columns, unit_in_name
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record, instants, refer_channel
@@ -74,9 +74,9 @@ def columns_to_write(
     sample_time: float | None = None,
 ) -> dict[str, FloatArray]:
     """Return the columns that `write` writes, by name; arguments as there."""
-    named = dict[str, Column]()
+    named, given = dict[str, Column](), as_columns(columns)
     for name in record.channels:
-        column = Column(given) if isinstance(given := columns.get(name), str) else given
+        column = given.get(name)
         if frame.drive.traces is not None:
             tap = record.tap if name == "torque" and not (column and column.tap) else None
             column = frame.drive.traces.column(name, column, frame.drive.place, frame.kind_of(name, column), tap)

@@ -34,7 +34,7 @@ from jointid.common.parameters import POSITION_UNIT, Quantity, unit_of
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import PD, PID, Cascade, Notch, SampledLaw, numbers_of, unit_of_number
+from jointid.models.controllers import PD, Cascade, Notch, SampledLaw, numbers_of, unit_of_number
 from jointid.models.friction import PARTS
 from jointid.tuning.margins import JointSet, crossover
 
@@ -98,22 +98,19 @@ class Layout:
 
 def rate_of(controller: TunableController, inertia: float) -> float:
     """Return the rate w of a controller on an inertia, rad/s."""
-    gain = controller.velocity_gain if isinstance(controller, Cascade) else controller.derivative_gain
-    return gain * controller.gain * controller.ratio**2 / inertia
+    return numbers_of(controller)[controller.gains[1]] * controller.gain * controller.ratio**2 / inertia
 
 
 def with_gains(controller: TunableController, inertia: float, rate: float, damping: float) -> TunableController:
     """Replace the gains of a controller (the module's equations)."""
-    velocity, slow = rate * inertia / (controller.gain * controller.ratio**2), rate / (4 * damping**2)
+    velocity = rate * inertia / (controller.gain * controller.ratio**2)
     faster = rate / (rate_of(controller, inertia) or rate)
-    if isinstance(controller, Cascade):
-        integral = controller.integral_gain * faster
-        return replace(controller, velocity_gain=velocity, position_gain=slow, integral_gain=integral)
-    made = replace(controller, derivative_gain=velocity, position_gain=velocity * slow)
-    if isinstance(controller, PID) and isinstance(made, PID) and controller.position_gain:
-        share = controller.integral_gain / controller.position_gain * faster
-        return replace(made, integral_gain=share * made.position_gain)
-    return made
+    position = rate / (4 * damping**2) * (1.0 if controller.nested else velocity)
+    # An integral of a cascade is of what goes into the velocity loop, that of a PID is beside the position gain.
+    beside = 1.0 if controller.nested else controller.position_gain / position
+    old, (_, name, *integral) = numbers_of(controller), controller.gains
+    made: dict[str, Any] = {one: old[one] * faster / beside for one in integral if beside}
+    return replace(controller, position_gain=position, **made | {name: velocity})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,12 +238,11 @@ def list_feedforward(estimate: Estimate, controller: Any) -> tuple[Gain, ...]:
 def list_gains(estimate: Estimate, before: Any, layout: Layout) -> tuple[Gain, ...]:
     """Return the gains of a designed loop beside those there are."""
     after, position = layout.controller, POSITION_UNIT[estimate.settings.joint.kind]
-    velocity, slow = ("velocity_gain", "w") if isinstance(after, Cascade) else ("derivative_gain", "kd w")
+    slow, old, new = "w" if after.nested else "kd w", numbers_of(before), numbers_of(after)
+    _, velocity, *integral = after.gains
     rows = {"position_gain": f"{slow} / (4 d^2), d = {layout.damping:g}"}
     rows[velocity] = f"w J / (g r^2), w = {number(layout.rate, 4)}/s"
-    if isinstance(after, PID) or (isinstance(after, Cascade) and after.integral_gain):
-        rows["integral_gain"] = "as before, in units of w"
-    old, new = numbers_of(before), numbers_of(after)
+    rows |= {one: "as before, in units of w" for one in integral if new[one]}
     gains = []
     for key, formula in rows.items():
         unit = unit_of_number(before, key, position, estimate.data.torque_unit)

@@ -191,8 +191,7 @@ def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: A
             f"The stiffness is refused, and margins need the joint's mode: {estimate.data.record} does not show it. "
             "jointid design --goal stiffness plans a test that does; or identify the joint as rigid."
         )
-    if isinstance(joint, FlexibleJoint):
-        joint.require_linear("Tuning takes", spring_alone=True)
+    joint.require_linear("Tuning takes", spring_alone=True)
     controller = None if estimate.settings.loop is None else estimate.settings.loop.controller
     if not isinstance(controller, ServoController):
         raise MethodError(
@@ -234,7 +233,7 @@ def _propose(estimate: Estimate, interval: Interval, controller: Controller, set
     if not isinstance(controller, Cascade | PD):
         return None
     _, inertia, _ = lumped_parameters(estimate)["inertia"]
-    sample_time, flexible = estimate.data.sample_time, isinstance(estimate.settings.joint, FlexibleJoint)
+    sample_time, flexible = estimate.data.sample_time, estimate.settings.joint.model == "flexible"
     band, mode = None if flexible else estimate.settings.filtering.cutoff, None
     if flexible and interval.names and settings.notch:
         mode = FlexibleJoint.frequencies(interval.nominal)["free_free"]
@@ -245,7 +244,7 @@ def _propose(estimate: Estimate, interval: Interval, controller: Controller, set
 def _take_notes(estimate: Estimate, present: LoopMargins) -> list[str]:
     joint = estimate.settings.joint
     left_out = {
-        "the modes of a joint that is taken as rigid": not isinstance(joint, FlexibleJoint),
+        "the modes of a joint that is taken as rigid": joint.model == "rigid",
         "gravity that turns with the link": joint.gravity is not None and joint.gravity.varies,
         "the ripple": joint.ripple is not None,
         joint.friction.adds or "friction towards standstill": not joint.friction.linear,

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import Flag, Quiet, listen, ready, show, spare
+from jointid.apps.cli.console import Flag, Quiet, listen, ready, show, show_result, spare
 from jointid.common.errors import MethodError
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def campaign(
         rows = store.rows_of(case.content_hash for case in asked.cases)
     found = CampaignReport(asked.name, rows, false_alarm)
     show(f"Run now: {sum(made.values())} of {len(rows)}.")
-    show(found, details=details)
+    show_result(found, details=details)
     if html is not None:
         write_whole(html, page(found.to_document(details=True, pictures=True)))
 

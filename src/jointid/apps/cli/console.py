@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from jointid import Estimate
+    from jointid.common.document import Documented
     from jointid.config import File
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
@@ -185,26 +186,28 @@ class Options:
             raise explain_failure(error, record, file.loop, progress, getattr(file.method, "free", ())) from error
         except KeyboardInterrupt:
             if known:
-                show(known[0])
+                show_result(known[0])
             raise
 
 
 DEFAULTS = Options()
 
 
-def show(result: object = "", *, details: bool = False) -> None:
-    """Print a line or a result, in colour on a terminal, optionally with all details.
-
-    Control characters of names in a file are not sent to the terminal.
-    """
-    from jointid.common.document import Documented, plain_console
-
+def show(line: object) -> None:
+    """Print a line; control characters of names in a file are not sent to the terminal."""
     clear_bars()
-    if isinstance(result, Documented) and sys.stdout.isatty():
+    put(f"{printable(str(line))}\n", sys.stdout)
+
+
+def show_result(result: Documented, *, details: bool = False) -> None:
+    """Print a result, in colour on a terminal, optionally with all details."""
+    from jointid.common.document import plain_console
+
+    if sys.stdout.isatty():
+        clear_bars()
         result.to_document(details=details).print(plain_console())
-        return
-    text = result.summary(details=details) if isinstance(result, Documented) else str(result)
-    put(f"{printable(text)}\n", sys.stdout)
+    else:
+        show(result.summary(details=details))
 
 
 def tell(message: str) -> None:
@@ -287,7 +290,7 @@ def clear_bars() -> None:
 
 
 def deliver(
-    result: object,
+    result: Documented,
     json: Path | None = None,
     *figures: tuple[Path | None, Callable[[Any], Figure]],
     details: bool = False,
@@ -295,7 +298,7 @@ def deliver(
     """Print a result, and write it as JSON and as figures where requested."""
     from jointid.output import json as answers
 
-    show(result, details=details)
+    show_result(result, details=details)
     if json is not None:
         answers.write(answers.to_dict(result), json)
     for path, draw in figures:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, deliver, ready, show, spare
+from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, deliver, ready, show, show_result, spare
 from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
@@ -68,7 +68,7 @@ def report(
     else:
         stated = replace(stated, tuned=tuned)
     for one in (found, *checks):
-        show(one)
+        show_result(one)
     stated.save(html)
     if options.json is not None:
         write_whole(options.json, stated.answer())

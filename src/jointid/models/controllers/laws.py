@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,6 +54,8 @@ _ANTI_WINDUP = (
 class Cascade(DiagramController):
     """A position loop around a velocity loop: P-P, or P-PI with `integral_gain`."""
 
+    gains: ClassVar = ("position_gain", "velocity_gain", "integral_gain")  # in this order, in every law
+    nested: ClassVar = True  # the position gain acts on what goes into the velocity loop, not on the output
     position_gain: float = field(metadata=declare("position gain", unit="1/s", at_least=0))
     velocity_gain: float = field(
         metadata=declare("velocity gain", unit="controller units per m/s or rad/s", at_least=0)
@@ -126,6 +128,8 @@ class PD(DiagramController):
     (damping on the position only).
     """
 
+    gains: ClassVar[tuple[str, ...]] = ("position_gain", "derivative_gain")
+    nested: ClassVar = False
     position_gain: float = field(metadata=declare("position gain", unit="controller units per m or rad", at_least=0))
     derivative_gain: float = field(
         metadata=declare("velocity gain", unit="controller units per m/s or rad/s", at_least=0)
@@ -157,6 +161,7 @@ class PD(DiagramController):
 class PID(PD):
     """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations)."""
 
+    gains: ClassVar = ("position_gain", "derivative_gain", "integral_gain")
     integral_gain: float = field(
         metadata=declare("integral gain", unit="controller units per m s or rad s", at_least=0)
     )

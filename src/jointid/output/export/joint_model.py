@@ -88,20 +88,17 @@ def pd_law(controller: Controller | None) -> PDLaw | None:
 
     A cascade without integral is one: ``kp`` is the product of its two gains, and ``kd`` that of its velocity loop.
     """
-    if isinstance(controller, Cascade):
-        gains = (controller.velocity_gain * controller.position_gain, controller.velocity_gain)
-        share, velocity_limit = controller.velocity_feedforward, controller.velocity_limit
-    elif isinstance(controller, PD):
-        gains, velocity_limit = (controller.position_gain, controller.derivative_gain), math.inf
-        share = 0.0 if controller.reference_velocity == "none" else 1.0
-    else:
+    if not isinstance(controller, Cascade | PD):
         return None
     numerator, denominator = as_filter(controller.velocity_filter).coefficients(controller.period or 1e-3)
     numbers = numbers_of(controller)
+    damping = numbers[controller.gains[1]]
+    stiffness = controller.position_gain * (damping if controller.nested else 1.0)
+    share = numbers.get("velocity_feedforward", 0.0 if controller.reference_velocity == "none" else 1.0)
     forward = [name.replace("_", " ") for name, value in numbers.items() if name.endswith("_feedforward") and value]
     beside = {
         "the integral of the controller": numbers.get("integral_gain"),
-        "the limit of the velocity command": velocity_limit < math.inf,
+        "the limit of the velocity command": numbers.get("velocity_limit", math.inf) < math.inf,
         "the filter of the velocity": len(numerator) + len(denominator) > 2,
         "the filters of the torque": controller.torque_filters,
         "the mean of the reference over a time": controller.reference_average,
@@ -111,7 +108,7 @@ def pd_law(controller: Controller | None) -> PDLaw | None:
     }
     force = controller.gain * controller.ratio**2
     return PDLaw(
-        force * gains[0], force * gains[1], share, controller.limit * controller.gain * abs(controller.ratio),
+        force * stiffness, force * damping, share, controller.limit * controller.gain * abs(controller.ratio),
         controller.reference_delay, controller.delay, tuple(said for said, there in beside.items() if there),
     )  # fmt: skip
 

@@ -21,7 +21,6 @@ import numpy as np
 from jointid.common.errors import MethodError, extra
 from jointid.common.transmission import Side
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.output.export.bodies import Model
 from jointid.output.export.joint_model import JointModel
@@ -40,8 +39,7 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
     Raises:
         MethodError: a value is refused, no joint can have it, the spring is not linear, or a time is out of range.
     """
-    if isinstance(model.joint, FlexibleJoint):
-        model.joint.require_linear("A state space takes", spring_alone=True)
+    model.joint.require_linear("A state space takes", spring_alone=True)
     masses, values, (_, _, _, rate) = model.masses.values(), model.values, model.weight
     A, b = drive_matrices(
         [mass.inertia for mass in masses], [mass.viscous for mass in masses],
