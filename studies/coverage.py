@@ -17,8 +17,8 @@ from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import identifiability
+from jointid.uncertainty.model_tests import whiteness
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.residual_tests import whiteness
 
 _ENOUGH = 1e-6  # relative: far below a deviation
 _VISCOUS = ("motor_viscous", "load_viscous")

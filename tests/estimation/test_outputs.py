@@ -12,7 +12,7 @@ from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.simulated import pose_robot
-from jointid.output.figures.charts import AxisSignals
+from jointid.output.figures import AxisSignals
 from jointid.paper.twin import twin
 from jointid.simulation.plant import Numbers
 from jointid.simulation.synthesis import simulate

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.residual_tests import whiteness
+from jointid.uncertainty.model_tests import whiteness
 
 FILTERING = Filtering(cutoff=60.0).resolve(1e-3)
 STEP = 6e-3

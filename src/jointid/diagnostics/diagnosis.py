@@ -38,8 +38,8 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Link, RobotLoop
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import SOURCE
+from jointid.uncertainty.model_tests import Whiteness, whiteness
 from jointid.uncertainty.position_dependent_error import cells, repeatable
-from jointid.uncertainty.residual_tests import Whiteness, whiteness
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
 _SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together

@@ -28,8 +28,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.diagnostics.suspects import Fault, FaultSignature, FaultTest
 from jointid.uncertainty.covariance import Influence, smoothed_spectrum
+from jointid.uncertainty.model_tests import Filter, fit_whitener
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
-from jointid.uncertainty.residual_tests import Filter, fit_whitener
 
 LEVEL = 0.02
 """Largest share of records without a fault in which one is found."""

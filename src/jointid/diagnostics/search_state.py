@@ -30,8 +30,8 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
+from jointid.uncertainty.model_tests import whiteness
 from jointid.uncertainty.position_dependent_error import Cells
-from jointid.uncertainty.residual_tests import whiteness
 
 MOST = 3
 """Faults of one axis, at most."""

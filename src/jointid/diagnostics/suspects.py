@@ -24,7 +24,7 @@ from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring, swinging_part
-from jointid.uncertainty.residual_tests import fit_whitener
+from jointid.uncertainty.model_tests import fit_whitener
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most

@@ -16,8 +16,8 @@ from jointid.common.charts import mark, panels, styled, svg
 from jointid.diagnostics.spectra import compute_response, estimate_spectra
 from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.parts import show_value
-from jointid.output.figures.axis_drawing import axis_figure
-from jointid.output.figures.charts import response_figure
+from jointid.output.axis_drawing import axis_figure
+from jointid.output.figures import response_figure
 from jointid.output.report import Report, repetition
 from tests.browser import opened
 from tests.estimates import amended

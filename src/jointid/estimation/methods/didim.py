@@ -67,8 +67,8 @@ from jointid.simulation.plant import DELAY
 from jointid.solvers.regression import refuse_idle
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import identifiability
+from jointid.uncertainty.model_tests import whiteness
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.residual_tests import whiteness
 
 _ROUGH = 1e-3  # tolerance of a rigid joint that only finds a delay
 _TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}

@@ -12,8 +12,8 @@ import numpy as np
 from jointid.common.document import Documented
 from jointid.common.messages import Message
 from jointid.common.text import join, number
+from jointid.uncertainty.model_tests import Whiteness
 from jointid.uncertainty.position_dependent_error import Repeatable
-from jointid.uncertainty.residual_tests import Whiteness
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate

@@ -29,8 +29,8 @@ from jointid.common.errors import RecordError
 from jointid.common.text import sentence
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
-from jointid.output.figures import charts
-from jointid.output.figures.axis_drawing import axis_figure, resonance_sentence
+from jointid.output import figures as charts
+from jointid.output.axis_drawing import axis_figure, resonance_sentence
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

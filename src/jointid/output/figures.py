@@ -1,6 +1,6 @@
-"""Charts of an estimate, a validation and a robot: functions that draw on `Axes`, and figures of these.
+"""Figures of an estimate, a validation and a robot: functions that draw on `Axes`, and figures of these.
 
-A figure that cannot be drawn is refused by a `RecordError` that says why.
+A figure that cannot be drawn is refused by a `RecordError` that says why; `save` writes one, the same bytes each time.
 """
 
 from __future__ import annotations
@@ -8,28 +8,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, mark, panels, styled
+from jointid.common.charts import ERROR, LEVEL, LOAD, MEASURED, OTHERS, SIMULATED, mark, panels, render, styled
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.transmission import Transmission
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.spectra import estimate_spectra
-from jointid.diagnostics.validation import Validation
+from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
-from jointid.records.record import instants
+from jointid.records.record import Record, instants
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from jointid.diagnostics.diagnosis import Diagnosis
     from jointid.diagnostics.intervals import Profiles
     from jointid.diagnostics.spectra import FrequencyResponse
+
+FORMATS = (".png", ".svg", ".pdf")
+"""The formats of a saved figure."""
 
 _MODES = {
     "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
@@ -148,14 +153,14 @@ def torque_word(unit: str) -> str:
     return {"N": "force", "N m": "torque"}.get(unit, "motor signal")
 
 
-def torque(axes: Axes, axis: AxisSignals, part: slice = slice(None), *, gaps: bool = False) -> None:
+def draw_torque(axes: Axes, axis: AxisSignals, part: slice = slice(None), *, gaps: bool = False) -> None:
     """Draw the measured and the predicted signal over time; with `gaps` only samples that are compared."""
     kept = np.where(axis.compared, 1.0, np.nan) if gaps else np.ones(axis.time.size)
     _compare(axes, axis, axis.time[part], (kept * axis.measured)[part], (kept * axis.predicted)[part])
     axes.set_ylabel(axis.label)
 
 
-def error(axes: Axes, axis: AxisSignals, *, gaps: bool = False) -> None:
+def draw_error(axes: Axes, axis: AxisSignals, *, gaps: bool = False) -> None:
     """Draw the error over time; with `gaps` only samples that are compared."""
     values = np.where(axis.compared, axis.error, np.nan) if gaps else axis.error
     axes.plot(axis.time, values, color=ERROR, linewidth=0.6, label="error")
@@ -175,8 +180,8 @@ def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
     if len(axes) > 1:
         figure, drawn = panels((*(230,) * (len(axes) - 1), 255), title=title, share_x=True)
         for place, axis in zip(drawn, axes, strict=True):
-            torque(place, axis, gaps=True)
-            error(place, axis, gaps=True)
+            draw_torque(place, axis, gaps=True)
+            draw_error(place, axis, gaps=True)
             place.set_title(f"{axis.name}, {100 * axis.relative_error:.3g} % left")
         drawn[-1].set_xlabel("time [s]")
         return figure
@@ -187,11 +192,11 @@ def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
     starts = range(0, max(axis.measured.size - size, 1), max(size // 4, 1))
     low = max(starts, key=lambda start: float(np.std(axis.measured[start : start + size])))
     part = slice(low, min(low + size, axis.measured.size))
-    torque(near, axis, part)
+    draw_torque(near, axis, part)
     near.set_title(f"its liveliest part, {axis.time[part][0]:.1f} to {axis.time[part][-1]:.1f} s")
-    torque(whole, axis)
+    draw_torque(whole, axis)
     whole.set_title("the whole record")
-    error(below, axis)
+    draw_error(below, axis)
     below.set(ylabel=f"error [{axis.unit}]", title=f"{100 * axis.relative_error:.2f} % of the measured")
     for place in motion:
         assert axis.velocity is not None
@@ -339,3 +344,81 @@ def profiles_figure(estimate: Estimate, found: Profiles) -> Figure:
         axes.axhline(2.0, **LEVEL)
         axes.set(xlabel=f"{one.formula} [{one.unit}]", ylabel="rise [sigma]", ylim=(0.0, 3.2))
     return figure
+
+
+def torque(answer: Estimate | Validation) -> Figure:
+    """Return the measured and the predicted torque over time, and their difference; of a checked robot all joints'."""
+    if isinstance(answer, Validation):
+        title, axes = f"{answer.record}: {answer.test} test", AxisSignals.of_validation(answer)
+    elif answer.robot is not None and isinstance(answer.diagnosis, Diagnosis):
+        title, axes = "", AxisSignals.of_robot(answer.diagnosis)
+    else:
+        title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
+        axes = [AxisSignals.of(answer)]
+    return torque_figure(axes, title)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plots:
+    """The figures of an estimate, by matplotlib: ``figure.savefig(path)`` writes one."""
+
+    estimate: Estimate
+
+    def __call__(self) -> Figure:
+        """Return the measured and the predicted torque over time, and their difference."""
+        return torque(self.estimate)
+
+    def residual(self, record: Record | Sequence[Record]) -> Figure:
+        """Return the torque error against velocity and position.
+
+        Args:
+            record: of the identification, or another one; an estimate keeps no motion. Of a robot one of each joint.
+        """
+        return residual_figure(AxisSignals.of_validation(validate(self.estimate, record)))
+
+    def spectrum(self) -> Figure:
+        """Return the amplitude spectra of measured and predicted torque, and of their difference.
+
+        Raises:
+            RecordError: the record is too short.
+        """
+        cutoff = self.estimate.settings.filtering.cutoff
+        return spectra_figure([AxisSignals.of(self.estimate)], cutoff, self.estimate.frequencies)
+
+    def response(self) -> Figure:
+        """Return the frequency response of the joint.
+
+        Raises:
+            MethodError: a parameter of the joint is not identifiable.
+        """
+        from jointid.diagnostics.spectra import compute_response
+
+        return response_figure(self.estimate, compute_response(self.estimate))
+
+    def profile(self, record: Record, quantities: Sequence[str]) -> Figure:
+        """Return the profiles of quantities, as `jointid.intervals` takes them.
+
+        Raises:
+            MethodError: the estimate is not by DIDIM, or a quantity is unknown.
+        """
+        from jointid.diagnostics.intervals import intervals
+
+        return profiles_figure(self.estimate, intervals(self.estimate, record, quantities))
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure; the suffix chooses PNG, SVG or PDF. The same answer gives the same bytes.
+
+    Raises:
+        RecordError: another suffix, or the file cannot be written.
+    """
+    path = Path(path)
+    require_format(path)
+    write_whole(path, render(figure, path.suffix[1:].lower()))
+    return path
+
+
+def require_format(path: Path | None, formats: Sequence[str] = FORMATS) -> None:
+    """Raise a `RecordError` if nothing of these formats can be saved under that name; None is nothing to save."""
+    if path is not None and path.suffix.lower() not in formats:
+        raise RecordError(f'It is saved as {" or ".join(formats)}; received "{path.name}": change its suffix.')
