@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.joints import ClosedLoop
 from jointid.models.limits import AxisLimits
 from jointid.models.linear import ComplexArray, frequency_response
 from jointid.planning.predict import Goal, Noise
@@ -91,8 +91,7 @@ def least_deviation(
         cutoff: of the filter, Hz.
     """
     power, weights = limits.rms_torque or limits.torque, goal.weights or {"stiffness": 1.0}
-    linear = isinstance(loop.joint, FlexibleJoint) and all(name in values for name in _PARAMETERS)
-    if power is None or not linear or not weights.keys() <= set(_PARAMETERS):
+    if power is None or not values.keys() >= set(_PARAMETERS) or not weights.keys() <= set(_PARAMETERS):
         return None
     friction = values["motor_coulomb"] + values["load_coulomb"]
     if power <= friction:

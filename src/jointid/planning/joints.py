@@ -112,7 +112,7 @@ class JointModel:
         highest = min(limit.highest or cutoff, cutoff)
         noise, samples = self.disturbance, self.samples
         floor = least_deviation(loop, values, noise, goal, limit, samples, self.sample_time, highest)
-        flexible = isinstance(loop.joint, FlexibleJoint)
+        flexible = loop.joint.model == "flexible"
         mode = FlexibleJoint.frequencies(values)["free_free"] if flexible else 0.5 * highest
         reached = {} if before is None else before.reached[0]
         sizes = {name: _MORE.get(name, 1.0) * size for name, size in reached.items()} | limit.stated
@@ -147,8 +147,7 @@ class JointModel:
         """Return a test in words."""
         (record,), joint = test, self.loop.joint
         assert record.reference is not None
-        family = None if plan is None else plan.family
-        motion, added = (family.motion, family.added) if isinstance(family, Family) else ("as given", "a signal")
+        motion, added = ("as given", "a signal") if plan is None else plan.family.words
         said = f"{motion}, {number(float(np.ptp(record.reference.values)), 3)} {POSITION_UNIT[joint.kind]} of travel"
         if record.injected is None:
             return said

@@ -116,6 +116,11 @@ class Family:
     lines: tuple[tuple[float, float], ...] = ()
 
     @property
+    def words(self) -> tuple[str, str]:
+        """What the joint does, and what is added to the torque."""
+        return self.motion, self.added
+
+    @property
     def size(self) -> int:
         """How many numbers say one of its tests."""
         return _MOTIONS[self.motion][0] + _ADDED[self.added][0]
@@ -151,6 +156,11 @@ class Series:
     period: float
     harmonics: int
     share: float = 1.0
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """What the joints do, and what is added where they have modes."""
+        return f"a Fourier series of {self.harmonics} harmonics of every joint", "multisines about the modes"
 
     @property
     def size(self) -> int:

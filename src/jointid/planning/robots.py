@@ -154,11 +154,11 @@ class RobotModel:
 
     def describe(self, test: Sequence[Record], plan: Plan | None) -> str:
         """Return a test in words."""
-        if plan is None or not isinstance(plan.family, Series):
+        if plan is None:
             return "the references as given"
-        modes = " with multisines about the modes" if any(self.robot.flexible) else ""
-        lasts = number(test[0].duration, 3)
-        return f"a Fourier series of {plan.family.harmonics} harmonics of every joint, {lasts} s long{modes}"
+        motion, added = plan.family.words
+        modes = f" with {added}" if any(self.robot.flexible) else ""
+        return f"{motion}, {number(test[0].duration, 3)} s long{modes}"
 
     def predict_plan(self, plan: Plan) -> Iterator[PredictedTest]:
         """Predict a test of each robot, by the equations of a rigid one or simulated."""

@@ -206,7 +206,7 @@ class Record:
         for name in CHANNELS:
             value = getattr(self, name)
             if value is not None:
-                yield name, value.channel if isinstance(value, Injection) else value
+                yield name, value.channel if name == "injected" else value
 
     @property
     def computed(self) -> bool:
