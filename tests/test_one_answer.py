@@ -9,8 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.campaigns.campaign import Case
-from jointid.campaigns.run import run_case
-from jointid.campaigns.store import Outcome
+from jointid.campaigns.run import Outcome, run_case
 from jointid.estimation.result.verdict import Subject
 from jointid.output.report import sections
 from tests.rigid_axis import JOINT, run, write_axis

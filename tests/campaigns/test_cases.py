@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from jointid.campaigns.campaign import Case, load_campaign
-from jointid.campaigns.run import run_case
-from jointid.campaigns.store import Outcome, open_store
+from jointid.campaigns.run import Outcome, open_store, run_case
 from jointid.common.errors import JointFileError
 from tests.campaigns.conftest import FLEET
 from tests.rigid_axis import JOINT, run

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.run import Engine, dask_cluster
-from jointid.campaigns.store import Outcome
+from jointid.campaigns.run import Engine, Outcome, dask_cluster
 from jointid.common.errors import JointidError, MethodError
 from tests.campaigns.work import POISON, TWO, ends, results, run_all
 

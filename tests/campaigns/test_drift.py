@@ -10,7 +10,7 @@ import pytest
 from jointid.campaigns.campaign import Case
 from jointid.campaigns.drift import Series, best_change, judge, series_of
 from jointid.campaigns.report import CampaignReport
-from jointid.campaigns.store import Found, Outcome, Row
+from jointid.campaigns.run import Found, Outcome, Row
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Picture
 

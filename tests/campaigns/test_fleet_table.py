@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from jointid.campaigns.campaign import Case, load_campaign
-from jointid.campaigns.run import run_case
-from jointid.campaigns.store import Outcome
+from jointid.campaigns.run import Outcome, run_case
 from jointid.common.errors import JointFileError
 from tests.rigid_axis import JOINT
 

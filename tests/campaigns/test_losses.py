@@ -18,8 +18,7 @@ from pathlib import Path
 import pytest
 
 from jointid.campaigns.campaign import Case
-from jointid.campaigns.run import local_processes, run_case
-from jointid.campaigns.store import Outcome, Row, Store, open_store
+from jointid.campaigns.run import Outcome, Row, Store, local_processes, open_store, run_case
 from jointid.common.errors import RecordError
 from jointid.common.files import digest
 from tests.campaigns.conftest import FLEET

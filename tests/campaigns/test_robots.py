@@ -7,8 +7,7 @@ import pytest
 
 from jointid.apps.cli.demo import _write_robot
 from jointid.campaigns.campaign import load_campaign
-from jointid.campaigns.run import run_case
-from jointid.campaigns.store import Outcome
+from jointid.campaigns.run import Outcome, run_case
 from tests.rigid_axis import call as run
 
 

@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from jointid.campaigns.campaign import Case
-from jointid.campaigns.run import Engine, local_processes, run_cases
-from jointid.campaigns.store import Found, Outcome, Row, open_store
+from jointid.campaigns.run import Engine, Found, Outcome, Row, local_processes, open_store, run_cases
 
 PLAIN, POISON, SLOW = "", "poison", "slow"
 

@@ -26,7 +26,7 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.campaigns.store import Outcome, Row
+from jointid.campaigns.run import Outcome, Row
 from jointid.common.arrays import FloatArray
 
 FALSE_ALARM = 0.01

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import numpy as np
 
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
-from jointid.campaigns.store import Outcome, Row
+from jointid.campaigns.run import Outcome, Row
 from jointid.common.charts import ERROR, MEASURED, SIMULATED, mark, panels, styled, svg
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Picture, Table
 from jointid.common.text import join, number, pluralise, short

@@ -45,8 +45,7 @@ def campaign(
     """
     from jointid.campaigns.campaign import load_campaign
     from jointid.campaigns.report import CampaignReport
-    from jointid.campaigns.run import run_cases
-    from jointid.campaigns.store import open_store
+    from jointid.campaigns.run import open_store, run_cases
     from jointid.common.files import write_whole
     from jointid.output.report.sections import page
 
