@@ -21,6 +21,7 @@ from jointid.diagnostics.explain import explain_failure, find_causes
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.records import chunks
 from tests.edits import Edit, changes, declares, has, log, slower, swap
 
 AxisName: TypeAlias = Literal["rigid", "flexible", "direct", "screw", "fast", "lift"]
@@ -335,8 +336,7 @@ def cut(record: ji.Record, seconds: float) -> ji.Record:
     """The first seconds of a record's motion."""
     assert record.reference is not None
     begin = int(np.flatnonzero(np.diff(record.reference.values))[0])
-    end = begin + round(seconds / record.reference.sample_time)
-    return record.with_channels({n: replace(c, values=c.values[begin:end]) for n, c in record.items()})
+    return chunks.cut(record, begin, begin + round(seconds / record.reference.sample_time))
 
 
 def _side_forgotten(one: Any) -> None:

@@ -15,6 +15,7 @@ from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS, Spring
+from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
@@ -134,8 +135,7 @@ def with_spring(loop: ClosedLoop, spring: Spring) -> ClosedLoop:
 def gapped_axis(samples: int = 4000) -> tuple[Case, Record]:
     """An axis with a gap of 0.6 of the largest wind-up, and its record with 2 % of noise on the log."""
     case = prismatic(1)
-    cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in case.clean.items()}
-    clean = case.clean.with_channels(cut)
+    clean = cut(case.clean, 0, samples)
     loop = with_spring(case.loop, Spring("backlash"))
     run = simulate(case.loop, prepare(case.loop, clean), case.truth)
     assert run.load_position is not None

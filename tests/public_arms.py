@@ -8,8 +8,6 @@ import numpy as np
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.models.robots.inertial import MassProperties, mass_properties
 from jointid.models.robots.robot import Robot, RobotJoint
-from jointid.records.record import Record
-from tests.estimation.robots.twin import records_of
 
 H = pi / 2
 ARMS = {
@@ -87,16 +85,3 @@ def real_arm(model: Robot, seed: int, share: float = 0.3) -> Robot:
         for name, rotor, size in zip(model.names, rotors.tolist(), friction.tolist(), strict=True)
     ]
     return replace(model, links=tuple(links), joints=tuple(joints))
-
-
-def logs_of(robot: Robot, seed: int, noise: float) -> tuple[Record, ...]:
-    """Return the record of each joint; the noise is white, a share of each torque."""
-    random, found = np.random.default_rng(seed + 100), []
-    for k, record in enumerate(records_of(robot, seed)):
-        values = record.torque.values
-        values = values + noise * float(np.std(values)) * random.normal(size=values.size)
-        torque = replace(record.torque, values=values, unit=robot.torque_unit(k))
-        found.append(
-            replace(record, torque=torque, motor_position=replace(record.motor_position, unit=robot.position_unit(k)))
-        )
-    return tuple(found)

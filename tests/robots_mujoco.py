@@ -8,15 +8,6 @@ from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Robot
 
 
-def model_of(robot: Robot, step: float) -> mujoco.MjModel:
-    """Return a robot for steps of that many seconds; its Coulomb friction is MuJoCo's constraint, made hard."""
-    model = mujoco.MjModel.from_xml_string(ji.export(robot, "mjcf", timestep=step).text)
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    model.dof_solref[:] = max(2 * step, 5e-4), 1.0
-    model.dof_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2.0
-    return model
-
-
 def simulate_by_mujoco(
     robot: Robot,
     gains: FloatArray,
@@ -34,7 +25,10 @@ def simulate_by_mujoco(
         references: (periods, n). period: s. start: (masses,) where the links rest, then the rotors of flexible joints.
         step: s, of MuJoCo.
     """
-    model = model_of(robot, step)
+    model = mujoco.MjModel.from_xml_string(ji.export(robot, "mjcf", timestep=step).text)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    model.dof_solref[:] = max(2 * step, 5e-4), 1.0  # Coulomb friction is MuJoCo's constraint, made hard
+    model.dof_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2.0
     data = mujoco.MjData(model)
     rotors = [f"{joint.name}_motor" for joint in robot.joints if joint.spring is not None]
     for name, position in zip((*robot.names, *rotors), start, strict=True):

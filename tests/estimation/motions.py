@@ -1,4 +1,4 @@
-"""A motion and a linear model of a rigid joint on it, cheap enough for hundreds of runs."""
+"""A motion, a linear model of a rigid joint on it, and noise, cheap enough for hundreds of runs."""
 
 import numpy as np
 
@@ -20,6 +20,11 @@ def motion(duration: float = 40.0) -> tuple[FloatArray, FloatArray, FloatArray]:
 def columns(velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
     """Return the inverse-dynamic columns of a rigid joint, (rows, 4)."""
     return np.column_stack([acceleration, velocity, np.sign(velocity), np.ones_like(velocity)])
+
+
+def low_passed(random: np.random.Generator, size: int) -> FloatArray:
+    """Return noise of variance 1 that is correlated over five rows, (size,)."""
+    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
 
 
 def field(random: np.random.Generator, position: FloatArray, length: float) -> FloatArray:

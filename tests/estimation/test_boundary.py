@@ -6,7 +6,7 @@ import pytest
 from jointid.uncertainty.model_tests import BoundaryTest, flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Cells, cells
 from tests.estimation.linear import solved
-from tests.estimation.motions import columns, field, motion
+from tests.estimation.motions import columns, field, low_passed, motion
 
 POSITION, VELOCITY, ACCELERATION = motion()
 W = columns(VELOCITY, ACCELERATION)
@@ -26,10 +26,11 @@ def left(error: np.ndarray) -> np.ndarray:
 
 
 def noise(random: np.random.Generator, kind: str) -> np.ndarray:
-    white = random.standard_normal(len(W) + 4)
     if kind == "coloured":
-        return np.convolve(white, np.ones(5) / np.sqrt(5.0), "valid")
-    return white[4:] * (1.0 + 6.0 * (np.abs(BEND[:, 0]) > 0.1 * np.abs(BEND).max()) if kind == "loud" else 1.0)
+        return low_passed(random, len(W))
+    return random.standard_normal(len(W) + 4)[4:] * (
+        1.0 + 6.0 * (np.abs(BEND[:, 0]) > 0.1 * np.abs(BEND).max()) if kind == "loud" else 1.0
+    )
 
 
 @pytest.mark.parametrize(

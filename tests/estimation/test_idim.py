@@ -19,6 +19,7 @@ from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.model_tests import durbin_wu_hausman
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
+from tests.estimation.motions import low_passed
 
 SEEDS = range(1, 11)
 
@@ -78,10 +79,6 @@ def test_noise_on_the_log_alone_raises_no_alarm() -> None:
     axes = (twin("L30", noise="white", seed=seed) for seed in range(1, 41))
     alarms = [rejected(identify(axis.record, axis.loop, IDIM("iv"))) for axis in axes]
     assert np.mean(alarms) <= 0.1
-
-
-def low_passed(random: np.random.Generator, size: int) -> np.ndarray:
-    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
 
 
 @pytest.mark.parametrize(("share", "lowest", "highest"), [(0.0, 0.0, 0.08), (0.6, 0.95, 1.0)])

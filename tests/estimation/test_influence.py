@@ -5,12 +5,9 @@ import pytest
 from scipy.signal import lfilter
 
 from jointid.uncertainty.covariance import Covariance, Influence, covariance_of, larger, white
+from tests.estimation.motions import low_passed
 
 ROWS, RUNS = 600, 200
-
-
-def low_passed(random: np.random.Generator, size: int) -> np.ndarray:
-    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
 
 
 def test_white_errors_give_the_textbook_s_deviations() -> None:

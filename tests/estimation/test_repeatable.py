@@ -7,15 +7,11 @@ import pytest
 
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import Uncertainty, by_place, cells, repeatable, uncertainty
-from tests.estimation.motions import columns, field, motion
+from tests.estimation.motions import columns, field, low_passed, motion
 
 POSITION, VELOCITY, ACCELERATION = motion()
 W = columns(VELOCITY, ACCELERATION)
 WHERE = cells(POSITION, VELOCITY)
-
-
-def coloured(random: np.random.Generator, size: int) -> np.ndarray:
-    return np.convolve(random.standard_normal(size + 4), np.ones(5) / np.sqrt(5.0), "valid")
 
 
 def fitted(error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,7 +52,7 @@ def test_noise_is_not_called_repeatable(kind: str) -> None:
     loud = 1.0 + 4.0 * (np.abs(ACCELERATION) > 0.1)
     found = []
     for _ in range(400):
-        noise = coloured(random, len(W)) if kind == "coloured" else random.standard_normal(len(W))
+        noise = low_passed(random, len(W)) if kind == "coloured" else random.standard_normal(len(W))
         found.append(repeatable(fitted(noise * loud if kind.startswith("louder") else noise)[1], WHERE).significant)
     assert np.mean(found) <= 0.05 + 2 * np.sqrt(0.05 * 0.95 / 400)
 
@@ -82,7 +78,7 @@ def of_many(draw: str, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray, li
     random = np.random.default_rng(seed)
     robust, widened, found = np.zeros(4), np.zeros(4), []
     for _ in range(runs):
-        error = coloured(random, len(W)) if draw == "coloured" else random.standard_normal(len(W))
+        error = low_passed(random, len(W)) if draw == "coloured" else random.standard_normal(len(W))
         if draw == "place":
             for family in np.unique(WHERE.family):
                 error += (WHERE.family == family) * field(random, POSITION, 0.004)

@@ -14,8 +14,8 @@ import pytest
 
 import jointid as ji
 from jointid.estimation.result.fields import dumps
-from jointid.models.robots.dynamics import inverse_dynamics
 from tests.estimation.robots.test_rigid_robots import recorded
+from tests.estimation.robots.twin import torque_of
 from tests.robots_plants import two
 
 JOINT = ji.RigidJoint("revolute", friction=ji.friction.Friction("asymmetric"), gravity=ji.Gravity("link"))
@@ -53,15 +53,6 @@ def motion(n: int) -> list[np.ndarray]:
     """Return position, velocity and acceleration, (samples, n), and of the joint (samples,)."""
     random = np.random.default_rng(3)
     return [random.normal(size=(40, n) if n else 40) for _ in range(3)]
-
-
-def torque_of(robot: ji.robots.Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Return the torques of a robot with rigid joints and symmetric friction, by its links."""
-    links = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
-    rotor, viscous, coulomb, offset = (
-        robot.of_joints(name) for name in ("rotor_inertia", "viscous", "coulomb", "offset")
-    )
-    return np.asarray(links + rotor * a + viscous * v + coulomb * np.sign(v) + offset)
 
 
 @pytest.mark.parametrize("kind", ["joint", "idim", "didim"])

@@ -19,7 +19,7 @@ from jointid.planning.robots import RobotModel, _read_first, find_modes
 from jointid.planning.search import complete, search
 from jointid.records.record import Channel, Record
 from jointid.simulation.synthesis import add_feed_forward, simulate
-from tests.estimation.robots.twin import identified
+from tests.estimation.robots.twin import identified, logged, torque_of
 from tests.robots_plants import inertial, two
 
 
@@ -41,13 +41,8 @@ def measured(q: FloatArray, noise: FloatArray, seed: int) -> tuple[Record, ...]:
     """Return what two rigid joints log along a motion, with white noise."""
     robot = two().robot
     v = np.gradient(q, T, axis=0)
-    a = np.gradient(v, T, axis=0)
-    torque = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
-    torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("viscous") * v
-    torque += robot.of_joints("coulomb") * np.sign(v) + noise * np.random.default_rng(seed).normal(size=q.shape)
-    return tuple(
-        Record(torque=Channel(torque[:, k], "N m", T), motor_position=Channel(q[:, k], "rad", T)) for k in range(2)
-    )
+    torque = torque_of(robot, q, v, np.gradient(v, T, axis=0))
+    return logged(robot, q, torque + noise * np.random.default_rng(seed).normal(size=q.shape), T)
 
 
 def references(robot: Robot, q: FloatArray, sample_time: float = T) -> tuple[Record, ...]:
@@ -87,11 +82,11 @@ def test_what_didim_will_report_is_predicted() -> None:
     loop, noise = two().loop(), np.array([0.4, 0.2])
     found = design(loop, limits=LIMITS, duration=6.0, sample_time=1e-3, search_time=0.4, noise=noise)
     driven, rng = found.records(), np.random.default_rng(5)
-    logged = []
+    drives = []
     for k, one in enumerate(simulate(loop, driven).records(driven)):
         values = one.torque.values + noise[k] * rng.normal(size=len(one.torque))
-        logged.append(replace(one, torque=replace(one.torque, values=values)))
-    fit = search_robot(loop, logged)
+        drives.append(replace(one, torque=replace(one.torque, values=values)))
+    fit = search_robot(loop, drives)
     assert fit.names == found.proposed.joint
     # Runs scatter as predicted (-0.002 in the logarithm), and report 0.12 to 0.76 more: the covariance of a fit takes
     # the larger of two estimates.

@@ -1,5 +1,6 @@
 """What logging does to a signal, undone or refused: wraps, slow refreshes, rounding."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,19 +11,14 @@ from hypothesis import strategies as st
 import jointid as ji
 from jointid.records.checks import find_encoder_lag, find_encoder_step, find_record_warnings
 from jointid.records.columns import Column, find_wrap, unwrap
-from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.resampling import Resampling, update_interval
 
+Saved = Callable[..., Path]
 T = 1e-3
 TIME = np.arange(1000) * T
 MOTION = 3000.0 * np.sin(5 * TIME) + 40_000 * TIME
 TORQUE = np.cos(7 * TIME) + 0.3 * np.sin(31 * TIME)
-
-
-def saved(path: Path, **columns: np.ndarray) -> Path:
-    write_table(path, Table({"t": TIME, **columns}))
-    return path
 
 
 @given(st.integers(200, 100_000), st.integers(-10_000, 10_000))
@@ -39,11 +35,11 @@ DEGREES = np.degrees(7.0 * np.sin(3 * TIME) + 4.0 * TIME + 0.2)
     ("unit", "turn"), [("rad", 2 * np.pi), ("deg", 360.0), ("counts", 4096.0), ("counts", 65536.0), ("deg", 360.0 / 50)]
 )
 @pytest.mark.parametrize("channel", ["reference", "motor_position", "load_position"])
-def test_a_wrap_that_is_not_declared_is_found(tmp_path: Path, channel: str, unit: str, turn: float) -> None:
+def test_a_wrap_that_is_not_declared_is_found(saved: Saved, channel: str, unit: str, turn: float) -> None:
     gear = 50.0 if turn == 7.2 else 1.0
     whole = DEGREES / 360 * turn * gear
     wrapped = np.mod(np.round(whole) if unit == "counts" else whole, turn)
-    path = saved(tmp_path / "run.csv", q=wrapped)
+    path = saved(".csv", t=TIME, q=wrapped)
     drive = ji.Drive(counts_per_turn=turn, load_counts_per_turn=turn) if unit == "counts" else ji.Drive()
     record = ji.read(path, {channel: Column("q", unit=unit)}, drive=drive)
     found = getattr(record, channel).values
@@ -57,12 +53,12 @@ def test_a_wrap_that_is_not_declared_is_found(tmp_path: Path, channel: str, unit
         ji.read(path, {channel: Column("q", unit=unit, wrap=0.5 * turn)}, drive=drive)
 
 
-def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> None:
+def test_a_reference_is_unwrapped_where_its_motor_says_so(saved: Saved) -> None:
     saw, motor = np.mod(7.0 * TIME, 0.8), 7.0 * TIME
     columns = {"reference": "r", "motor_position": "q"}
 
     def logged(remarks: int, **values: np.ndarray) -> list[np.ndarray]:
-        path = saved(tmp_path / "run.csv", **values)
+        path = saved(".csv", t=TIME, **values)
         record = ji.read(path, {name: column for name, column in columns.items() if column in values})
         assert len(record.remarks) == remarks
         return [channel.values for _, channel in record.items()]
@@ -78,10 +74,10 @@ def test_a_reference_is_unwrapped_where_its_motor_says_so(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("size", "bit"), [(2**16, False), (2**8, False), (2**11, True), (2**16, True)])
-def test_whole_numbers_that_lost_their_sign_have_it_again(tmp_path: Path, size: int, bit: bool) -> None:
+def test_whole_numbers_that_lost_their_sign_have_it_again(saved: Saved, size: int, bit: bool) -> None:
     torque = np.round(0.4 * size * np.sin(20 * TIME) + 2 * np.sin(700 * TIME))
     lost = np.where(torque < 0, size / 2 - torque if bit else size + torque, torque)
-    path = saved(tmp_path / "run.csv", i=lost, up=np.abs(torque), half=lost + 0.5)
+    path = saved(".csv", t=TIME, i=lost, up=np.abs(torque), half=lost + 0.5)
     for column in ("i", Column("i", wrap=size)) if not bit else ("i",):
         record = ji.read(path, {"torque": column})
         np.testing.assert_array_equal(record.torque.values, torque)
@@ -98,16 +94,15 @@ def test_steps_and_noise_are_no_wraps(noise: float) -> None:
     assert find_wrap(np.array([-1e308, 1e308, np.nan, 0.0]), 1.0) is None
 
 
-def test_whole_rows_that_are_repeated_are_left_out(tmp_path: Path) -> None:
+def test_whole_rows_that_are_repeated_are_left_out(saved: Saved) -> None:
     rows = np.repeat(np.arange(1000), np.where(np.isin(np.arange(1000), [100, 700]), 2, 1))
-    path = tmp_path / "run.csv"
-    write_table(path, Table({"t": TIME[rows], "q": MOTION[rows]}))
+    path = saved(".csv", t=TIME[rows], q=MOTION[rows])
     record = ji.read(path, {"motor_position": "q"})
     np.testing.assert_allclose(record.motor_position.values, MOTION, rtol=1e-6)
     (said,) = record.remarks
     assert said in find_record_warnings(record, ("motor_position",))
     moved = MOTION[rows] + np.arange(rows.size)  # the stamps are repeated, and not the rows
-    write_table(path, Table({"t": TIME[rows], "q": moved}))
+    saved(".csv", t=TIME[rows], q=moved)
     with pytest.raises(ji.RecordError):
         ji.read(path, {"motor_position": "q"})
     alone = ji.read(path, {"motor_position": "q"}, sample_time=T)
@@ -123,10 +118,9 @@ def test_whole_rows_that_are_repeated_are_left_out(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_the_remedies_that_a_broken_clock_names_work(
-    tmp_path: Path, stamps: np.ndarray, longest: tuple[int, int]
+    saved: Saved, stamps: np.ndarray, longest: tuple[int, int]
 ) -> None:
-    path = tmp_path / "run.csv"
-    write_table(path, Table({"t": stamps, "q": np.sin(stamps), "i": np.cos(stamps)}))
+    path = saved(".csv", t=stamps, q=np.sin(stamps), i=np.cos(stamps))
     columns = {"motor_position": "q", "torque": "i"}
     with pytest.raises(ji.RecordError):
         ji.read(path, columns)
@@ -141,16 +135,15 @@ def test_the_remedies_that_a_broken_clock_names_work(
         ji.read(path, columns, part=7)
 
 
-def test_nanoseconds_beside_a_column_of_seconds_are_a_clock(tmp_path: Path) -> None:
-    path, stamps = tmp_path / "run.csv", 17.3 + 0.01 * np.arange(300)
-    write_table(path, Table({"sec": np.floor(stamps), "nanosec": np.round(1e9 * np.mod(stamps, 1.0)), "q": stamps}))
+def test_nanoseconds_beside_a_column_of_seconds_are_a_clock(saved: Saved) -> None:
+    stamps = 17.3 + 0.01 * np.arange(300)
+    path = saved(".csv", sec=np.floor(stamps), nanosec=np.round(1e9 * np.mod(stamps, 1.0)), q=stamps)
     record = ji.read(path, {"motor_position": "q"}, time="nanosec", time_unit="ns")
     assert (len(record.motor_position), record.motor_position.sample_time) == (300, pytest.approx(0.01))
 
 
-def test_a_record_is_cut_by_its_own_clock(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    write_table(path, Table({"t [ms]": 5e3 + 1e3 * TIME, "q": MOTION}))
+def test_a_record_is_cut_by_its_own_clock(saved: Saved) -> None:
+    path = saved(".csv", **{"t [ms]": 5e3 + 1e3 * TIME, "q": MOTION})
     record = ji.read(path, {"motor_position": "q"}, start=5.1, stop=5.3)
     np.testing.assert_allclose(record.motor_position.values, MOTION[100:301], rtol=1e-6)
     record = ji.read(path, {"motor_position": "q"}, sample_time=T, start=0.1)
@@ -166,8 +159,8 @@ def slow(every: int, phase: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("phase", [0, 1, 3])
-def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) -> None:
-    path = saved(tmp_path / "run.csv", i=slow(4, phase), q=MOTION)
+def test_a_slow_column_is_picked_at_its_refreshes(saved: Saved, phase: int) -> None:
+    path = saved(".csv", t=TIME, i=slow(4, phase), q=MOTION)
     record = ji.read(
         path, {"torque": Column("i", sample_time=4 * T), "motor_position": Column("q", unit="um")}, kind="prismatic"
     )
@@ -178,18 +171,18 @@ def test_a_slow_column_is_picked_at_its_refreshes(tmp_path: Path, phase: int) ->
     np.testing.assert_allclose(record.motor_position.values, MOTION[phase:] * 1e-6)
 
 
-def test_two_slow_columns_begin_together(tmp_path: Path) -> None:
+def test_two_slow_columns_begin_together(saved: Saved) -> None:
     columns = {"torque": Column("i", sample_time=4 * T), "reference": Column("r", sample_time=2 * T)}
-    record = ji.read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 1)), columns, kind="prismatic")
+    record = ji.read(saved(".csv", t=TIME, i=slow(4, 3), r=slow(2, 1)), columns, kind="prismatic")
     np.testing.assert_allclose(record.torque.values, TORQUE[3::4])
     np.testing.assert_allclose(record.reference.values, TORQUE[3::2])
     assert record.begin == pytest.approx(3 * T)
-    other = ji.read(saved(tmp_path / "run.csv", i=slow(4, 3), r=slow(2, 0)), columns, kind="prismatic")
+    other = ji.read(saved(".csv", t=TIME, i=slow(4, 3), r=slow(2, 0)), columns, kind="prismatic")
     assert other.resampled is not None and other.resampled.sample_time == pytest.approx(2 * T)
 
 
-def test_another_rhythm_than_the_stated_one_is_refused(tmp_path: Path) -> None:
-    path = saved(tmp_path / "run.csv", i=slow(4, 0))
+def test_another_rhythm_than_the_stated_one_is_refused(saved: Saved) -> None:
+    path = saved(".csv", t=TIME, i=slow(4, 0))
     for stated in (3 * T, 3.5 * T, 8 * T):
         with pytest.raises(ji.RecordError):
             ji.read(path, {"torque": Column("i", sample_time=stated)})

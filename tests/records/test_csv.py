@@ -294,18 +294,7 @@ def test_a_column_that_cannot_be_read_is_passed_over(
 
 
 START = 132959733843760000  # a FILETIME: 2 May 2022
-HEADER = (
-    "SymbolComment",
-    "Data-Type",
-    "SampleTime[ms]",
-    "SymbolName",
-    "Offset",
-    "ScaleFactor",
-    "Unit",
-    "Unit ScaleFactor",
-)
 MOTION = np.arange(40.0)
-
 Group = tuple[float, dict[str, np.ndarray]]
 
 
@@ -314,41 +303,34 @@ def scope_text(
     mark: str = "\t",
     point: str = ",",
     *,
-    said: dict[str, dict[str, str]] | None = None,
+    said: dict[str, str] | None = None,
     filetime: bool = False,
-    end: str = "EOF\r\n",
 ) -> str:
-    """Write groups of channels, each with its sample time in ms and its own time column, as the scope does."""
-    said = said or {}
-    defaults = {"Data-Type": "REAL64", "Offset": "0", "ScaleFactor": "1", "Unit": "(None)", "Unit ScaleFactor": "1"}
+    """Write groups of channels, each with its sample time in ms and its own time column, as the scope does.
 
-    def row(key: str) -> str:
-        cells: list[str] = []
-        for period, channels in groups:
-            usual = {"Name": None, "SampleTime[ms]": f"{period:g}".replace(".", ","), **defaults}
-            cells += [key, *(said.get(name, {}).get(key) or usual.get(key, "") or (name if key == "Name" else "")
-                             for name in channels)]  # fmt: skip
-        return mark.join(cells)
+    `said` has what the head says of a channel beside the usual, by the channel's name and the key.
+    """
 
     def cell(value: float) -> str:
         return f"{value:.12g}".replace(".", point)
 
-    preamble = [
-        f"Name{mark}axis",
-        f"File{mark}C:\\axis.csv",
-        f"Starttime of export{mark}{START}{mark}Montag, 2. Mai 2022{mark}15:56:24.376",
-        f"Endtime of export{mark}{START + 10**7}{mark}Montag, 2. Mai 2022{mark}15:56:25.376",
-        "", "",
-    ]  # fmt: skip
-    rows = []
-    for k in range(max(next(iter(channels.values())).size for _, channels in groups)):
-        cells: list[str] = []
-        for period, channels in groups:
-            there = k < next(iter(channels.values())).size
-            stamp = str(START + round(k * period * 10_000)) if filetime else cell(k * period)
-            cells += [stamp if there else " ", *(cell(v[k]) if there else " " for v in channels.values())]
-        rows.append(mark.join(cells).rstrip(f" {mark}"))
-    return "\r\n".join([*preamble, row("Name"), *map(row, HEADER), "", *rows, end])
+    head: list[list[str]] = [[] for _ in range(9)]
+    columns: list[list[str]] = []
+    for period, channels in groups:
+        usual = {
+            "Name": "", "SymbolComment": "", "Data-Type": "REAL64", "SampleTime[ms]": f"{period:g}".replace(".", ","),
+            "SymbolName": "", "Offset": "0", "ScaleFactor": "1", "Unit": "(None)", "Unit ScaleFactor": "1",
+        }  # fmt: skip
+        for row, (key, value) in zip(head, usual.items(), strict=True):
+            told = (said or {}) | {f"{name} Name": name for name in channels}
+            row += [key, *(told.get(f"{name} {key}", value) for name in channels)]
+        stamps = np.arange(len(next(iter(channels.values())))) * period
+        columns.append([str(START + round(stamp * 10_000)) if filetime else cell(stamp) for stamp in stamps])
+        columns += [list(map(cell, values)) for values in channels.values()]
+    rows = (mark.join(row).rstrip(f" {mark}") for row in itertools.zip_longest(*columns, fillvalue=" "))
+    date = f"{mark}Montag, 2. Mai 2022{mark}15:56:24.376"
+    preamble = [f"Name{mark}axis", f"File{mark}C:\\axis.csv", f"Starttime of export{mark}{START}{date}", "", ""]
+    return "\r\n".join([*preamble, *map(mark.join, head), "", *rows, "EOF\r\n"])
 
 
 ONE_CLOCK: list[Group] = [(1.0, {"ActPos": MOTION / 3}), (1.0, {"SetPos": MOTION, "Torque": -MOTION})]
@@ -381,10 +363,9 @@ def test_groups_end_where_they_end_and_keep_their_clocks(read: Callable[..., Tab
 
 def test_the_unit_is_used_and_the_offset_is_not_added(read: Callable[..., Table]) -> None:
     said = {
-        "ActPos": {"Unit": "mm (Length)", "Offset": "5"},
-        "SetPos": {"Unit": "° (Angle)"},
-        "Torque": {"Unit": "dV (Voltage)", "Unit ScaleFactor": "-10"},
-    }
+        "ActPos Unit": "mm (Length)", "ActPos Offset": "5", "SetPos Unit": "° (Angle)", "Torque Unit": "dV (Voltage)",
+        "Torque Unit ScaleFactor": "-10",
+    }  # fmt: skip
     table = read(scope_text(ONE_CLOCK, said=said))
     assert list(table.columns)[1:] == ["ActPos [mm]", "SetPos [deg]", "Torque [dV, drawn times -10]"]
     np.testing.assert_allclose(table.columns["ActPos [mm]"], MOTION / 3, rtol=1e-11)
@@ -392,10 +373,7 @@ def test_the_unit_is_used_and_the_offset_is_not_added(read: Callable[..., Table]
 
 def test_rows_that_were_filled_with_the_ones_before_are_left_out(read: Callable[..., Table]) -> None:
     text = scope_text([(1.0, {"Fast": MOTION}), (2.0, {"Slow": np.arange(20.0)})], point=".")
-    head, rows = text.split("\r\n\r\n", 2)[0], text.split("\r\n\r\n", 2)[2]
-    middle = text.split("\r\n\r\n", 2)[1]
     filled = [f"{k}\t{k}\t{k // 2 * 2}\t{k // 2}" for k in range(40)]
-    assert rows.startswith("0\t0\t0\t0")
-    table = read("\r\n\r\n".join([head, middle, "\r\n".join(filled)]))
+    table = read(text[: text.index("0\t0\t0\t0")] + "\r\n".join(filled))
     np.testing.assert_array_equal(table.columns["Slow"], np.arange(20.0))
     np.testing.assert_array_equal(table.columns["time of Slow [ms]"], np.arange(20) * 2.0)

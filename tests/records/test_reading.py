@@ -9,7 +9,6 @@ import pytest
 
 from jointid.common.errors import RecordError
 from jointid.records.columns import Column
-from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import InjectionPoint, Tap, Timing
 
@@ -20,16 +19,6 @@ POSITION = 0.1 * np.sin(30 * TIME)
 TORQUE = 2.0 * np.cos(30 * TIME)
 
 Saved = Callable[..., Path]
-
-
-@pytest.fixture
-def saved(tmp_path: Path) -> Saved:
-    def save(suffix: str = ".mat", **columns: Any) -> Path:
-        path = tmp_path / f"run{suffix}"
-        write_table(path, Table({name: np.asarray(values, dtype=float) for name, values in columns.items()}))
-        return path
-
-    return save
 
 
 def faults_of(path: Path, *columns: Any, **how: Any) -> tuple[str, ...]:

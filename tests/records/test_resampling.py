@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 import jointid as ji
 from jointid.common.errors import RecordError
 from jointid.records.clock import fit_line
-from jointid.records.formats import Table, write_table
 from jointid.records.record import Timing
 from jointid.records.resampling import Resampling
 from tests.records.logged import topics
@@ -22,16 +21,6 @@ LATE = T * 0.3 * np.random.default_rng(3).random(400)
 STAMPS = np.arange(400) * T + LATE
 
 Saved = Callable[..., Path]
-
-
-@pytest.fixture
-def saved(tmp_path: Path) -> Saved:
-    def save(**columns: Any) -> Path:
-        path = tmp_path / "run.mat"
-        write_table(path, Table({name: np.asarray(values, dtype=float) for name, values in columns.items()}))
-        return path
-
-    return save
 
 
 def read(path: Path, how: Resampling | None, **channels: Any) -> ji.Record:

@@ -11,8 +11,8 @@ from jointid.models.robots.inertial import inertia_matrix, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.output.export import export
 from tests.estimates import errors_of_bodies
-from tests.estimation.robots.twin import identified, motion
-from tests.public_arms import ARMS, logs_of, real_arm, urdf_of
+from tests.estimation.robots.twin import identified, motion, records_of
+from tests.public_arms import ARMS, real_arm, urdf_of
 
 pytest.importorskip("mujoco")
 
@@ -30,7 +30,7 @@ def test_exported_bodies_of_an_arm_without_rotors_predict_as_its_estimate(
 ) -> None:
     model = load(urdf_of(name), tmp_path / "arm.urdf")
     arm = real_arm(model, 7)
-    estimate = identified(model, logs_of(arm, 2, noise))
+    estimate = identified(model, records_of(arm, 2, share=noise))
     found = ji.robots.consistent_robot(estimate)
     rotors = found.robot.of_joints("rotor_inertia")
     assert found.misfit < 1.0 and rotors[2:] == pytest.approx(arm.of_joints("rotor_inertia")[2:], rel=0.2)
@@ -46,8 +46,10 @@ def test_exported_bodies_of_an_arm_without_rotors_predict_as_its_estimate(
     of_bodies = inverse_dynamics(own.tree, own.inertials, q, v, a) + rotors * a + found.robot.of_joints("viscous") * v
     of_bodies += found.robot.of_joints("coulomb") * np.sign(v) + found.robot.of_joints("offset")
     assert np.all(np.linalg.norm(of_bodies - torque, axis=0) < 0.02 * np.linalg.norm(torque, axis=0))
-    held_out = ji.validate(estimate, logs_of(arm, 3, noise))
-    for axis, left in zip(held_out.axes, errors_of_bodies(estimate, found.robot, logs_of(arm, 3, noise)), strict=True):
+    held_out = ji.validate(estimate, records_of(arm, 3, share=noise))
+    for axis, left in zip(
+        held_out.axes, errors_of_bodies(estimate, found.robot, records_of(arm, 3, share=noise)), strict=True
+    ):
         assert left is not None and left <= 1.2 * axis.filtered_error
     for link, declared in zip(exported.links, model.links, strict=True):
         moments = np.linalg.eigvalsh(mass_properties(link.inertial).inertia)

@@ -9,6 +9,7 @@ import pytest
 from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.robots.robot import RobotLoop
+from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, robot_with
@@ -79,11 +80,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
         loop = replace(loop, controllers=(replace(first, delay=4e-4), replace(second, period=2e-3)))  # type: ignore[type-var]
     if what == "in motion":
         loop = replace(loop, in_motion=True)
-        records = tuple(
-            replace(one, reference=replace(one.reference, values=one.reference.values[2000:]))
-            for one in records
-            if one.reference
-        )
+        records = tuple(cut(one, 2000, 6000) for one in records)
     records, _ = recorded(loop, records)
     fit = search_robot(loop, records)
     truth = fit.parameters.group(Numbers.of(twin.robot))

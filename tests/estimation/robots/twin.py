@@ -78,23 +78,37 @@ def motion(seed: int, joints: int = 6, seconds: float = 10.0) -> tuple[Array, Ar
     return q, v, a
 
 
-def records_of(robot: Robot, seed: int, noise: float = 0.0) -> tuple[Record, ...]:
-    """Return the record of each joint; the noise is white, of so many N m at the base and a tenth at the last joint."""
-    q, v, a = motion(seed, len(robot))
+def torque_of(robot: Robot, q: Array, v: Array, a: Array) -> Array:
+    """Return the torques of motors of rigid joints with symmetric friction along a motion of the joints, (rows, n)."""
     coupling = robot.coupling
-    motors = [one @ coupling.T for one in (q, v, a)]
+    velocity, acceleration = v @ coupling.T, a @ coupling.T
     links = inverse_dynamics(robot.tree, robot.inertials, q, v, a) @ np.linalg.inv(coupling)
     numbers = (robot.of_joints(name) for name in ("rotor_inertia", "viscous", "coulomb", "offset"))
     rotor, viscous, coulomb, offset = numbers
-    torque = links + rotor * motors[2] + viscous * motors[1] + coulomb * np.sign(motors[1]) + offset
-    sizes = noise * np.geomspace(1.0, 0.1, len(robot))
+    return np.asarray(links + rotor * acceleration + viscous * velocity + coulomb * np.sign(velocity) + offset)
+
+
+def records_of(robot: Robot, seed: int, noise: float = 0.0, share: float = 0.0) -> tuple[Record, ...]:
+    """Return the record of each joint.
+
+    The noise is white, of so many N m at the base and a tenth at the last joint, or a share of each torque.
+    """
+    q, v, a = motion(seed, len(robot))
+    torque = torque_of(robot, q, v, a)
+    sizes = noise * np.geomspace(1.0, 0.1, len(robot)) + share * torque.std(axis=0)
     torque += sizes * np.random.default_rng(seed + 500).normal(size=torque.shape)
+    return logged(robot, q, torque, SAMPLE_TIME)
+
+
+def logged(robot: Robot, q: Array, torque: Array, sample_time: float) -> tuple[Record, ...]:
+    """Return the records of motors' torques and positions, (rows, n), for a motion of the joints."""
+    columns = enumerate(zip(torque.T, robot.coupling @ q.T, strict=True))
     return tuple(
         Record(
-            torque=Channel(torque[:, k], "N m", SAMPLE_TIME),
-            motor_position=Channel(motors[0][:, k], "rad", SAMPLE_TIME),
+            torque=Channel(tau, robot.torque_unit(k), sample_time),
+            motor_position=Channel(position, robot.position_unit(k), sample_time),
         )
-        for k in range(len(robot))
+        for k, (tau, position) in columns
     )
 
 
@@ -123,12 +137,13 @@ def by_idim(
     *,
     filtering: Filtering | None = None,
 ) -> Any:
-    """Return names, values and covariance of an estimate by IDIM, and the parameters of any robot in their order."""
+    """Return an estimate by IDIM, its names, values and covariance, and the parameters of any robot in their order."""
     estimate = identified(model, records, method or IDIM(), filtering=filtering)
     part = estimate.require_robot()
     covariance = estimate.covariance_of(part.names)
     return SimpleNamespace(
-        names=part.names, values=part.values, covariance=covariance, parameters_of=part.parameters_of
+        estimate=estimate, names=part.names, values=part.values, covariance=covariance,
+        parameters_of=part.parameters_of,
     )  # fmt: skip
 
 

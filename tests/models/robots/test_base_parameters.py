@@ -10,6 +10,7 @@ from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.simulation.plant import Numbers
+from tests.estimation.robots.twin import torque_of
 from tests.models.robots.trees import chain, random_robot
 
 DOWN = np.array([0.0, 0.0, -9.81])
@@ -58,10 +59,8 @@ def test_base_columns_and_parameters_give_the_torque(seed: int) -> None:
     robot = random_robot(seed)
     base = robot_parameters(robot, whole=False)
     q, v, a = np.random.default_rng(seed).normal(size=(3, 50, 6))
-    torque = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
-    torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("viscous") * v + robot.of_joints("offset")
-    torque += robot.of_joints("coulomb") * np.sign(v)
     columns = base.columns(robot, q, v, a)
+    torque = torque_of(robot, q, v, a)
     assert columns @ base.group(Numbers.of(robot)) == pytest.approx(torque, rel=1e-7, abs=1e-7)
     rows = columns.reshape(300, -1)
     assert np.linalg.matrix_rank(rows / np.linalg.norm(rows, axis=0)) == rows.shape[1]
