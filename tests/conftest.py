@@ -1,13 +1,9 @@
-"""What all tests share: the real records, estimates that are made once, and how property tests run."""
-
-from __future__ import annotations
+"""What all tests share: the real records, and how property tests run."""
 
 import os
 import shlex
 import sys
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 # Matrices here are thousands of rows by ten columns: a second thread of the linear algebra only waits for the first.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -16,13 +12,6 @@ import pytest
 from hypothesis import settings
 
 from tests.drawing import DRAW, SHARES, is_drawn
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from jointid.estimation.methods.registry import Method
-    from jointid.estimation.result.estimate import Estimate
-    from jointid.records.record import Record
 
 # Without bytecode files, every worker compiles all tests and libraries again, which takes 12 s of processor, and every
 # child process its libraries.
@@ -85,41 +74,3 @@ def data_dir() -> Path:
 def emps_path(data_dir: Path) -> Path:
     """The public EMPS record: vir [V], qg and qm [m], t [s], at 1 kHz."""
     return data_dir / "emps" / "DATA_EMPS.mat"
-
-
-@pytest.fixture(scope="session")
-def identified() -> Callable[..., Estimate]:
-    """What torque and reference of a twin tell, made once: ``identified("L30", method, noise="white", seed=3)``.
-
-    The method comes second, what else makes the twin by name; an estimate is never changed by a test.
-    """
-    from jointid.paper.twin import twin
-    from tests.estimates import identify
-
-    @cache
-    def estimate(loop: str = "L19", method: Method | None = None, **made: object) -> Estimate:
-        axis = twin(loop, **made)  # type: ignore[arg-type]
-        return identify(axis.record.without("motor_position", "load_position"), axis.loop, method)
-
-    return estimate
-
-
-@pytest.fixture(scope="session")
-def stiff_axis() -> tuple[Record, Estimate]:
-    """Eight seconds of an axis that is as good as rigid, and its estimate as a flexible one: no spring is told."""
-    import numpy as np
-
-    from jointid.models.joints import ClosedLoop, FlexibleJoint
-    from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, TABLE_2
-    from jointid.simulation.excitation import trapezoids
-    from jointid.simulation.synthesis import simulated_record
-    from tests.estimates import identify
-
-    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
-    truth = {**TABLE_2, "motor_inertia": 70.0, "load_inertia": 35.0, "stiffness": 1e9, "damping": 1e4}
-    reference = trapezoids((0.042, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=8.0)
-    force = 10.0 * np.random.default_rng(1).standard_normal(reference.size)
-    record = simulated_record(loop, reference, truth, sample_time=SAMPLE_TIME, disturbance=force, encoder_step=1e-6)
-    estimate = identify(record.without("motor_position", "load_position"), loop)
-    assert estimate.bounds
-    return record, estimate

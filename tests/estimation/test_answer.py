@@ -13,6 +13,7 @@ from jointid.estimation.result.verdict import judged as with_verdicts
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from tests.estimates import amended
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
+from tests.rigid_axis import LOOP, recorded
 
 RIGID = replace(
     ESTIMATE,
@@ -121,23 +122,8 @@ def test_a_refused_stiffness_has_a_bound_and_no_value() -> None:
     assert judged(flexible(None, None)).answer.found.code == "not_determined"
 
 
-def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:
-    """A friction that comes out negative is kept at 0 while the others are identified."""
-    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-    truth = {"inertia": 30.0, "viscous": -20.0, "coulomb": 15.0, "offset": 2.0}
-    estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop, checks=False)
-    (bounds,) = (v for v in estimate.checks if v.name is Subject.BOUNDS)
-    assert bounds.passed is False
-    assert bounds.values == {"parameters": ["viscous"]}
-    assert estimate.to_dict()["parameters"]["viscous"]["at_bound"] == 0.0
-
-
 def test_an_inertia_of_each_record_comes_before_what_they_share() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    records = [ji.simulated_record(loop, reference, truth | {"inertia": m}, sample_time=1e-3) for m in (30.0, 45.0)]
-    both = ji.identify(records, loop, several={"own": (("inertia",), ("inertia",))})
+    records = [recorded(inertia=inertia) for inertia in (30.0, 45.0)]
+    both = ji.identify(records, LOOP, several={"own": (("inertia",), ("inertia",))})
     assert both.answer.found.values["parameter"] == "inertia@1"
     assert both["inertia@1"].value == pytest.approx(30.0)

@@ -65,7 +65,7 @@ def test_a_load_that_sticks_is_identified() -> None:
     truth = TABLE_2 | {"load_coulomb": 45.0}
     loop = ji.ClosedLoop(JOINT, CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids(
-        speeds=(0.042, 0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.3
+        speeds=(0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.3
     )
     known = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
     run = ji.simulate(loop, prepare(loop, _driven(reference, known)), truth)

@@ -59,26 +59,17 @@ def test_idim_with_the_timing_respected(emps: Record) -> None:
     }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def torque_only(emps: Record) -> Estimate:
-    """Identified from a record that has no motor position at all."""
-    return identify(emps.without("motor_position"), LOOP)
-
-
-def in_the_published_bounds(estimate: Estimate) -> None:
+def test_didim_identifies_the_axis_from_torque_and_reference_only(emps: Record) -> None:
+    estimate = identify(emps.without("motor_position"), LOOP)
     assert estimate.values["inertia"] == pytest.approx(95.0, abs=0.5)
     assert estimate.values["viscous"] == pytest.approx(207.5, abs=5)
     assert estimate.values["coulomb"] == pytest.approx(20.1, abs=0.5)
     assert estimate.values["offset"] == pytest.approx(-3.2, abs=0.1)
     assert estimate.fit.converged
-
-
-def test_didim_identifies_the_axis_from_torque_and_reference_only(torque_only: Estimate) -> None:
-    in_the_published_bounds(torque_only)
-    assert torque_only.settings.method == "didim"
-    assert torque_only.data.channels == ("torque", "reference")
-    assert torque_only.fit.relative_error <= 0.046
-    assert torque_only["initial_velocity"].value == pytest.approx(0.007, abs=0.001)
+    assert estimate.settings.method == "didim"
+    assert estimate.data.channels == ("torque", "reference")
+    assert estimate.fit.relative_error <= 0.046
+    assert estimate["initial_velocity"].value == pytest.approx(0.007, abs=0.001)
 
 
 def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Record) -> None:

@@ -27,32 +27,24 @@ RESTING = (5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8, 14, 2
 """Servos under forces of 1 to 6 % of the torque of their ramps: their Coulomb friction comes out 13 to 45 % small."""
 
 
-def solved(axis: Servo) -> tuple[ClosedLoopProblem, Solution]:
-    """Return where plain least squares ends on a servo that begins at rest."""
+def solved(axis: Servo) -> tuple[ji.Estimate, ClosedLoopProblem, Solution]:
+    """Return the estimate of a servo that begins at rest, and where plain least squares ends beside it."""
     problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     found = ji.identify(axis.record, axis.loop, checks=False)
     start = problem.vector({row.name: row.value or 0.0 for row in found.rows})
-    return problem, solve(problem, LevenbergMarquardt(1e-7), start)
+    return found, problem, solve(problem, LevenbergMarquardt(1e-7), start)
 
 
 @pytest.mark.parametrize("seed", RESTING)
-def test_intervals_hold_what_a_force_moves(seed: int) -> None:
+def test_a_force_is_found_and_intervals_hold_what_it_moves(seed: int) -> None:
     axis = servo(seed)
-    found = ji.identify(axis.record, axis.loop, checks=False)
-    coulomb, viscous = found["coulomb"], found["viscous"]
-    for row in (coulomb, viscous):
+    estimate, problem, end = solved(axis)
+    for row in (estimate["coulomb"], estimate["viscous"]):
         assert abs(row.value - axis.truth[row.name]) <= 2 * row.stderr
-    (note,) = [note for note in found.notes if "force in the loop" in note]
+    (note,) = [note for note in estimate.notes if "force in the loop" in note]
     assert seed != 25 or "coulomb" in note
-
-
-@pytest.mark.parametrize("seed", RESTING)
-def test_the_force_is_found_and_allowed_for(seed: int) -> None:
-    axis = servo(seed)
-    problem, end = solved(axis)
-    names = [p.name for p in problem.free]
-    at, truth = names.index("coulomb"), axis.truth["coulomb"]
+    at, truth = [p.name for p in problem.free].index("coulomb"), axis.truth["coulomb"]
     before = end.x[at] - truth
     assert before < -0.1 * truth  # too little friction, without the force
     found = allow_for_force(problem, end.x, -end.jacobian, np.zeros(end.x.size), History(ignore_progress))
@@ -66,7 +58,7 @@ def test_the_force_is_found_and_allowed_for(seed: int) -> None:
 def test_neither_noise_on_the_log_nor_a_residual_of_nothing_is_a_force() -> None:
     axis = servo(9)
     assert axis.force == 0.0
-    problem, end = solved(axis)
+    _, problem, end = solved(axis)
     run = problem.simulate(end.x)
     found = find_force(problem, end.x, run, problem.measured - run.torque)
     assert found is None or found.rms < 0.02 * float(np.std(problem.measured))

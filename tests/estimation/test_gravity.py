@@ -14,6 +14,7 @@ from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
+from tests.mistakes import without_positions
 
 ARM = ClosedLoop(RigidJoint(kind="revolute", gravity=Gravity("link")), Cascade(position_gain=20.0, velocity_gain=150.0))
 ARM_TRUTH = {
@@ -58,11 +59,6 @@ def geared(noise: float = 0.0, seed: int = 0, initial: Initial | None = None, sl
     )
 
 
-def torque_only(record: Record) -> Record:
-    names = ("motor_position", "load_position")
-    return record.without(*(name for name in names if getattr(record, name) is not None))
-
-
 def assert_found(estimate: Estimate, truth: dict[str, float], within: float) -> None:
     for name, value in truth.items():
         found = estimate[name].value
@@ -77,12 +73,12 @@ def assert_covered(estimate: Estimate, truth: dict[str, float], sigmas: float = 
 
 
 def test_a_rigid_link_from_torque_alone() -> None:
-    assert_found(identify(torque_only(arm()), ARM), ARM_TRUTH, 1e-6)
+    assert_found(identify(without_positions(arm()), ARM), ARM_TRUTH, 1e-6)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_intervals_of_a_rigid_link_hold_the_truth(seed: int) -> None:
-    estimate = identify(torque_only(arm(noise=1.0, seed=seed)), ARM)
+    estimate = identify(without_positions(arm(noise=1.0, seed=seed)), ARM)
     assert_covered(estimate, ARM_TRUTH)
     assert estimate["gravity_cos"].stderr < 0.002 * ARM_TRUTH["gravity_cos"]
 
@@ -90,12 +86,12 @@ def test_the_intervals_of_a_rigid_link_hold_the_truth(seed: int) -> None:
 @pytest.mark.parametrize("start", [None, Initial(SAG)], ids=["falling", "hanging"])
 def test_a_flexible_link_behind_a_gear_from_torque_alone(start: Initial | None) -> None:
     """A load that begins where it hangs is found there: friction would hold a motor that is begun beside it."""
-    assert_found(identify(torque_only(geared(initial=start)), GEARED_LOOP), GEARED_TRUTH, 1e-6)
+    assert_found(identify(without_positions(geared(initial=start)), GEARED_LOOP), GEARED_TRUTH, 1e-6)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_the_intervals_of_a_flexible_link_hold_the_truth(seed: int) -> None:
-    estimate = identify(torque_only(geared(0.05, seed, Initial(SAG))), GEARED_LOOP)
+    estimate = identify(without_positions(geared(0.05, seed, Initial(SAG))), GEARED_LOOP)
     assert_covered(estimate, GEARED_TRUTH)
     stiffness = estimate["stiffness"]
     assert stiffness.stderr < 0.01 * GEARED_TRUTH["stiffness"]
@@ -105,7 +101,7 @@ def test_a_vertical_axis_from_torque_alone() -> None:
     reference = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
     known = pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
     record = simulated_record(LIFT, reference, LIFT_TRUTH, sample_time=1e-3, injected=known)
-    estimate = identify(torque_only(record), LIFT)
+    estimate = identify(without_positions(record), LIFT)
     assert_found(estimate, LIFT_TRUTH, 1e-6)
     assert [p.name for p in estimate.rows if not p.free][:2] == ["offset", "counterbalance_constant"]
 
@@ -119,7 +115,7 @@ def test_a_link_from_encoders() -> None:
 def test_a_short_travel_tells_only_sums(travel: float) -> None:
     """Over a few degrees the cosine is a constant and the sine a straight line: both estimators say so."""
     record = arm(travel, noise=0.3)
-    estimate = identify(torque_only(record), ARM)
+    estimate = identify(without_positions(record), ARM)
     pairs = [one.values["parameters"] for one in estimate.checks if one.code == "inseparable" and not one.passed]
     assert ["offset", "gravity_cos"] in pairs
     total = estimate.values["offset"] + estimate.values["gravity_cos"]

@@ -1,5 +1,6 @@
 """A long record in windows: the same answer as at once, in bounded memory, and what changes on the way is seen."""
 
+import json
 import subprocess
 import sys
 import tracemalloc
@@ -13,8 +14,6 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
@@ -26,10 +25,9 @@ from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
+from tests.rigid_axis import JOINT, LOOP, TRUTH, run
 
 PERIOD = 1e-3
-LOOP = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=2000.0))
-TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
 SPEEDS = (0.05, 0.1, 0.2)
 
 
@@ -137,20 +135,6 @@ def test_how_long_a_window_remembers_is_measured() -> None:
     assert stiff.data.windows.settling < 1.0 < loose.data.windows.settling
     assert loose["inertia"].value == pytest.approx(30.0, rel=1e-2)
     assert any("forgets" in warning for warning in identify(record, slow, windows=1.5).warnings)
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"method": IDIM()}, "DIDIM"),
-        ({"method": DriveSideFit()}, "DIDIM"),
-        ({"windows": 0.0}, "windows"),
-        ({"windows": 40.0}, "two windows or more"),
-    ],
-)
-def test_what_cannot_be_done_is_said(changes: dict[str, object], said: str) -> None:
-    with pytest.raises(MethodError, match=said):
-        identify(rigid(20.0), LOOP, **{"windows": 60.0} | changes)
 
 
 def test_what_surrounds_the_joint_can_be_free() -> None:
@@ -272,3 +256,14 @@ def test_ten_minutes_at_4_khz_take_less_than_a_gigabyte(gain: str) -> None:
     inertia, gigabytes = map(float, done.stdout.split())
     assert inertia == pytest.approx(95.0, rel=1e-3 if gain == "9000.0" else 0.3)
     assert gigabytes < 1.0
+
+
+@pytest.mark.slow
+def test_a_log_is_identified_in_windows_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    joint, out = tmp_path / "joint.toml", tmp_path / "out.json"
+    stored(tmp_path / "day.csv", rigid(80.0))
+    joint.write_text(JOINT.replace('"run.npy"', '"day.csv"\nsample_time = 0.001'), encoding="utf-8")
+    assert run("identify", joint, "--window", 4, "--json", out, "--debug") == 0
+    assert "20 of 4 s" in capsys.readouterr().out
+    assert json.loads(out.read_text(encoding="utf-8"))["parameters"]["inertia"]["value"] == pytest.approx(30.0, abs=0.5)
+    assert run("compare", out, out) == 0

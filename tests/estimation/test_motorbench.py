@@ -28,11 +28,6 @@ def reference(bench: Bench) -> dict[str, float]:
     return bench.both_encoders("measured", FILTERING)
 
 
-def fit(bench: Bench, current: str, cutoff: float, **settings: float | None) -> ji.Estimate:
-    filtering = ji.Filtering(cutoff=cutoff, position_cutoff=600.0)
-    return ji.identify(bench.record(current), DriveSide(JOINT), ji.DriveSideFit(**settings), filtering=filtering)
-
-
 @pytest.mark.slow
 def test_without_the_load_encoder_the_frequencies_are_there(hidden: ji.Estimate) -> None:
     found = ji.FlexibleJoint.frequencies(hidden.values)
@@ -42,7 +37,9 @@ def test_without_the_load_encoder_the_frequencies_are_there(hidden: ji.Estimate)
     assert hidden.fit.simulations < 150
 
 
+@pytest.mark.slow
 def test_stiffness_and_inertias_are_those_of_both_encoders(hidden: ji.Estimate, reference: dict[str, float]) -> None:
+    assert ji.FlexibleJoint.frequencies(reference)["motor_locked"] == pytest.approx(54.0, abs=0.3)
     for name in PHYSICAL:
         line = hidden[name]
         assert line.value == pytest.approx(reference[name], rel=0.03), name
@@ -57,11 +54,7 @@ def both(bench: Bench, rows: slice = slice(None)) -> ji.Record:
     return replace(record, load_position=ji.Channel(part.load, "rad", 4e-4))
 
 
-@pytest.mark.slow
-def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_both_halves(
-    bench: Bench, reference: dict[str, float]
-) -> None:
-    assert ji.FlexibleJoint.frequencies(reference)["motor_locked"] == pytest.approx(54.0, abs=0.3)
+def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_both_halves(bench: Bench) -> None:
     half = bench.motor.size // 2
     whole, *halves = (
         ji.identify(both(bench, rows), JOINT, ji.IDIM(), filtering=FILTERING)["stiffness"]
@@ -73,8 +66,10 @@ def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_b
         assert one.value is not None and abs(one.value - whole.value) < 2 * whole.stderr
 
 
+@pytest.mark.slow
 def test_the_command_comes_before_the_torque(bench: Bench) -> None:
-    estimate = fit(bench, "command", 200.0)
+    filtering = ji.Filtering(cutoff=200.0, position_cutoff=600.0)
+    estimate = ji.identify(bench.record("command"), DriveSide(JOINT), filtering=filtering)
     # With the half period for which it is held, the command is 0.6 ms ahead of what the motor feels.
     assert estimate["log_delay"].value == pytest.approx(-0.4e-3, abs=0.05e-3)
     assert estimate["stiffness"].value == pytest.approx(565, rel=0.01)

@@ -127,7 +127,7 @@ def test_an_injected_signal_that_the_log_lacks_is_added() -> None:
 
 def test_an_axis_at_rest_is_not_taken_to_move_for_the_sake_of_noise() -> None:
     clean = simulated_record(LOOP, RESTING, TRUTH, sample_time=T)
-    for seed in range(5):
+    for seed in range(2):
         noise = 4.0 * np.random.default_rng(seed).standard_normal(RESTING.size)
         torque = Channel(clean.torque.values + noise, "N", T, Timing.HELD)
         estimate = identify(Record(torque=torque, reference=clean.reference), LOOP)
@@ -149,11 +149,17 @@ def test_a_parameter_beyond_its_bound_is_kept_there_and_said() -> None:
 
 
 def test_least_squares_ends_at_a_bound_and_says_so() -> None:
-    made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    inertia, *_ = LOOP.joint.parameters
-    high = identify(made, LOOP, parameters={"inertia": replace(inertia, lower=100.0)})
-    assert high["inertia"].value == pytest.approx(100.0, rel=1e-9)
-    assert high["inertia"].at_bound == 100.0
+    """At one that is stated, and at 0 where a friction comes out negative."""
+    made, odd = (simulated_record(LOOP, MOVING, TRUTH | more, sample_time=T) for more in ({}, {"viscous": -20.0}))
+    stated = {"inertia": replace(LOOP.joint.parameters[0], lower=100.0)}
+    for found, name, bound in (
+        (identify(made, LOOP, parameters=stated), "inertia", 100.0),
+        (identify(odd, LOOP), "viscous", 0.0),
+    ):
+        assert found[name].value == pytest.approx(bound, rel=1e-9, abs=1e-9)
+        assert found[name].at_bound == bound
+        (check,) = (check for check in found.checks if check.name == "bounds")
+        assert (check.passed, check.values) == (False, {"parameters": [name]})
 
 
 def test_torque_alone_in_ampere() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -25,6 +26,12 @@ def run_away() -> None:
     """Instruments of a loop that its gain makes unstable."""
     fast = replace(AXIS.loop.controller, velocity_gain=1e4, limit=np.inf)  # type: ignore[type-var]
     ji.identify(AXIS.record, ji.ClosedLoop(AXIS.loop.joint, fast), ji.IDIM("iv"))
+
+
+def freeing(name: str) -> None:
+    """A number that is to be identified with the joint, of a law without a limit."""
+    unlimited = replace(LOOP, controller=replace(LOOP.controller, limit=np.inf))  # type: ignore[type-var]
+    ji.identify(RECORD, unlimited, ji.DIDIM(free=(name,)))
 
 
 def resting() -> None:
@@ -62,6 +69,10 @@ def resting() -> None:
         ),
         (lambda: ji.identify(RECORD, LOOP, ji.DIDIM(frequency=30.0)), ji.MethodError),
         (lambda: ji.DIDIM(tolerance=0.0), ji.MethodError),
+        (lambda: ji.DIDIM(outputs=("load_position",)), ji.MethodError),
+        (lambda: ji.DIDIM(outputs=("torque", "motor_position")), ji.MethodError),
+        # What one record cannot tell, what the law has not, and numbers from which no search begins.
+        *((partial(freeing, n), ji.MethodError) for n in ("drive_gain", "derivative_gain", "integral_gain", "limit")),
         (lambda: ji.DIDIM(frequency=-3.0), ji.MethodError),
         (lambda: ji.IDIM("best"), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.identify(RECORD, RIGID, ji.IDIM("iv")), ji.MethodError),
@@ -85,6 +96,10 @@ def resting() -> None:
         (lambda: ji.identify([RECORD, RECORD], LOOP, several={"added_inertia": 1.0}), ji.MethodError),
         (lambda: ji.identify([RECORD, RECORD], LOOP, several={"free": "drive_gain"}), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, windows="3"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.identify(RECORD, LOOP, windows=0.0), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, windows=60.0), ji.MethodError),  # two windows or more
+        (lambda: ji.identify(RECORD, LOOP, ji.IDIM(), windows=2.0), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, ji.DriveSideFit(), windows=2.0), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise={"foo": 0.2}), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise=0.2), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.identify("log.csv", LOOP), ji.MethodError),  # type: ignore[arg-type]

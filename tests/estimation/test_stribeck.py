@@ -1,4 +1,4 @@
-"""Friction that is another towards standstill: identified from torque and reference, and refused where no line is."""
+"""Friction that is another towards standstill, and smooth laws of springs and friction, from torque and reference."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulate
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
-from tests.plants import FALLS, RISES, Case, prismatic, rigid, slow
+from tests.plants import FALLS, LAWS, RISES, Case, prismatic, rigid, slow, with_law
 
 EMPS_RESIDUAL = {"symmetric": (4.48, 5.41), "stribeck": (3.79, 4.93), "asymmetric-stribeck": (2.72, 4.13)}
 
@@ -47,6 +47,18 @@ def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> 
         if row.name in values:
             assert abs(row.value - values[row.name]) < 3.5 * row.stderr, row.name
     assert estimate["stiffness"].stderr < 1e-3 * values["stiffness"]  # type: ignore[operator]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", LAWS)
+def test_a_flexible_joint_tells_its_smooth_law(law: str) -> None:
+    case = prismatic(1)
+    loop, values = with_law(case, law)
+    found = identify(noisy(case, loop, values), loop)
+    assert abs(found["stiffness"].value - values["stiffness"]) < 3 * found["stiffness"].stderr
+    for p in found.rows:
+        if p.of_joint and p.value is not None and p.stderr:
+            assert abs(p.value - values[p.name]) < 4.5 * p.stderr, p.name
 
 
 @pytest.mark.parametrize("friction", list(EMPS_RESIDUAL))

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -47,14 +46,6 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     for name, value in (where.truth | line_7(where.loop)).items():
         assert estimate[name].value == pytest.approx(value, rel=1e-4), name
     assert estimate.fit.relative_error < 1e-5
-
-
-@pytest.mark.parametrize("name", ["drive_gain", "derivative_gain", "integral_gain", "limit"])
-def test_what_cannot_be_freed_is_refused(name: str) -> None:
-    """What one record cannot tell, what the law has not, and numbers from which no search begins."""
-    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=100.0, velocity_gain=5000.0))
-    with pytest.raises(MethodError, match=name):
-        identify(rigid_record(loop), loop, DIDIM(free=(name,)))
 
 
 def test_the_log_s_own_gain_and_delay_are_found() -> None:

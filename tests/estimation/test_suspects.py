@@ -1,6 +1,5 @@
 """What is wrong with a record, on the twin with one thing wrong at a time; seeds are fixed once and never retuned."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,15 +11,13 @@ from jointid.diagnostics.score import rank_tests, score
 from jointid.diagnostics.search import search_faults
 from jointid.diagnostics.search_state import compute_signatures
 from jointid.diagnostics.suspects import FaultSignature, FaultTest, number_fault
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.uncertainty.position_dependent_error import cells
 from tests.estimates import faults_of, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faults import FAULTS, problem, setting, solved
+from tests.rigid_axis import LOOP, TRUTH, recorded
 
 SIZES = {
     "position_gain": 0.03 * 160.18,
@@ -103,13 +100,12 @@ def test_a_slow_motion_leaves_no_fault_too_sure() -> None:
     assert np.std(found) < 1.2
 
 
-def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate]) -> None:
-    axis = twin(noise="white")
-    record = axis.record.without("motor_position", "load_position")
-    estimate = identified("L19", DIDIM(frequency=30.0), noise="white")
+def test_an_answer_is_checked_with_its_record() -> None:
+    record = recorded(noise=0.5)
+    estimate = identify(record, LOOP)
     assert faults_of(estimate, record).as_declared
     with pytest.raises(MethodError):
-        faults_of(estimate, twin(noise="white", seed=2).record)
+        faults_of(estimate, recorded(noise=0.5, seed=2))
 
 
 def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,13 +113,11 @@ def test_a_check_that_crashes_loses_no_estimate(monkeypatch: pytest.MonkeyPatch)
         raise StopIteration
 
     monkeypatch.setattr("jointid.diagnostics.diagnosis.search_faults", crash)
-    axis = twin(noise="white")
-    record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, DIDIM(frequency=30.0))
+    estimate = ji.identify(recorded(noise=0.5), LOOP)
     loop = next(one for one in estimate.checks if one.name == "loop")
     assert (loop.passed, loop.code) == (None, "check_failed") and "StopIteration" in loop.words
     assert estimate.answer.trust.code == "not_checked"
-    assert abs(estimate["stiffness"].value - 8e5) < 3 * (estimate["stiffness"].stderr or 0.0)
+    assert abs(estimate["inertia"].value - TRUTH["inertia"]) < 3 * (estimate["inertia"].stderr or 0.0)
 
 
 def test_what_is_significant_stands_first_however_strong_the_others_are() -> None:

@@ -9,7 +9,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
-from jointid.models.position_forces import PositionHarmonics
+from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.springs import Spring
 from jointid.paper.twin import TABLE_2
 from jointid.planning.joints import _holding_torque
@@ -41,6 +41,14 @@ def test_the_spring_carries_the_ripple_of_a_load_at_rest(spring: str | None) -> 
     hung = steady_joint(Numbers.of_joint(joint, values), 0.0, 0.0, 0.0).settle()[0][1]
     force = 80.0 * np.cos(2 * np.pi / RIPPLE.period * hung)
     assert -hung == pytest.approx(force / TABLE_2["stiffness"])
+
+
+@pytest.mark.parametrize("stiffness", [20.0, 90.0, 500.0])
+def test_a_load_hangs_where_the_spring_holds_it_however_soft_it_is(stiffness: float) -> None:
+    joint = FlexibleJoint("revolute", gravity=Gravity("link"))
+    values = dict.fromkeys((p.name for p in joint.parameters), 0.0) | {"stiffness": stiffness, "gravity_cos": 100.0}
+    hung = steady_joint(Numbers.of_joint(joint, values), -1.57, 0.0, 0.0).settle()[0][1]
+    assert stiffness * (hung + 1.57) == pytest.approx(-100.0 * np.cos(hung), abs=1e-9)
 
 
 def test_the_drive_side_has_the_ripple_of_the_motor() -> None:

@@ -1,4 +1,4 @@
-"""Units and factors of the other side of a transmission; in ampere as in newton metres."""
+"""Units of a joint, and units and factors of the other side of its transmission; in ampere as in newton metres."""
 
 import pytest
 
@@ -10,6 +10,17 @@ from jointid.output.export.joint_model import cross
 from tests.geared import TURNED_SCREW
 
 R = abs(TURNED_SCREW.motor_per_load)
+
+
+def test_units_follow_the_kind_and_the_torque() -> None:
+    def units(joint: FlexibleJoint) -> dict[str, str]:
+        return {p.symbol: joint.unit(p) for p in joint.parameters}
+
+    prismatic, revolute = units(FlexibleJoint("prismatic")), units(FlexibleJoint("revolute"))
+    assert [prismatic[symbol] for symbol in ("ZZ1", "K12", "Fv2")] == ["kg", "N/m", "N s/m"]
+    assert [revolute[symbol] for symbol in ("ZZ2", "K12", "F12")] == ["kg m2", "N m/rad", "N m s/rad"]
+    assert units(FlexibleJoint("revolute", torque_unit="A"))["K12"] == "A/rad"
+    assert units(FlexibleJoint("prismatic", torque_unit="V"))["ZZ1"] == "V s2/m"
 
 
 @pytest.mark.parametrize(

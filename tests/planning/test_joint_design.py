@@ -51,7 +51,7 @@ def designed() -> Design:
             goal="stiffness",
             record=short_record(),
             within=2.0,
-            search_time=250.0,
+            search_time=60.0,
         )
 
 

@@ -20,6 +20,7 @@ from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
+from jointid.records.chunks import cut
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set, possible_joints
@@ -36,7 +37,8 @@ RIGID = {"inertia": 100.0, "viscous": 150.0, "coulomb": 20.0, "offset": 3.0}
 @pytest.fixture(scope="module")
 def estimate() -> Estimate:
     axis = twin(seed=4)
-    return identify(axis.record.without("motor_position", "load_position"), axis.loop, DIDIM(frequency=30.0))
+    record = cut(axis.record.without("motor_position", "load_position"), 0, 8000)
+    return identify(record, axis.loop, DIDIM(frequency=30.0))
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +178,7 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     )  # 8.5 times as fast it would not be stable
     found = tune(replace(amended(estimate, settings={"loop": fast}), rows=wide), gain_margin=1e6, notch=False)
     assert found.present.estimate.stable
-    assert not found.present.worst.stable
+    assert not found.present.worst.stable and found.proposed is None
     assert json.loads(dumps(to_dict(found)))["present"]["worst"]["modulus"] == 0.0
 
 
@@ -197,14 +199,10 @@ def test_of_a_state_space_law_only_margins_are_told() -> None:
     assert found.present.worst.stable and found.proposed is None and not found.gains
 
 
-def test_gains_beyond_any_margin_are_not_proposed(estimate: Estimate) -> None:
-    assert tune(estimate, gain_margin=1e6).proposed is None
-
-
-def test_a_loop_in_doubt_is_doubted_in_the_first_sentence(estimate: Estimate) -> None:
+def test_a_loop_in_doubt_is_doubted_in_the_first_sentence() -> None:
     words = "velocity_gain is larger than declared"
     failed = Check(Reason.LOOP_NOT_AS_DECLARED, words, name=Subject.LOOP, passed=False)
-    tuned = tune(replace(estimate, checks=(failed,)))
+    tuned = tune(replace(rigid(Cascade(position_gain=20.0, velocity_gain=2000.0)), checks=(failed,)))
     assert tuned.sentence.startswith("Beware: ") and len(tuned.doubts) == 1
     assert words in tuned.doubts[0]
 

@@ -16,6 +16,7 @@ from jointid.estimation.problems.inverse_model import filter_motion, inverse_of_
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.models.robots.robot import Robot, RobotLoop
+from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import Numbers
@@ -163,9 +164,8 @@ def noisy(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
 
 
 def test_instruments_begin_in_motion_where_the_loop_does() -> None:
-    loop, driven = replace(two().loop(), in_motion=True), []
-    for one in two().records(6.0):
-        driven.append(Record(reference=replace(one.reference, values=one.reference.values[2000:].copy())))
+    loop = replace(two().loop(), in_motion=True)
+    driven = [cut(one, 2000, 6000) for one in two().records(6.0)]
     records = simulate(loop, driven).records(driven)
     parameters = robot_parameters(loop.robot, whole=False)
     inverse = inverse_of_robot(loop.robot, parameters)
@@ -221,3 +221,25 @@ def test_the_inverse_model_of_a_long_record_is_made_part_by_part(monkeypatch: py
             assert part.stderr == pytest.approx(before[name].stderr, rel=0.5), name
     with pytest.raises(MethodError):
         ji.identify(record, LOOP.joint, IDIM(), windows=5.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("digit", "noise"), [(1e-5, 0.0), (0.0, 1e-4)])
+def test_the_default_cutoff_is_as_good_as_the_best_by_hand(digit: float, noise: float) -> None:
+    """Of encoders that round, and of noisy ones, where 4 % of the rate, as of good positions, would be far too high."""
+    random, logs, fresh = np.random.default_rng(3), [], records_of(ARM, 9)
+    for record in records_of(ARM, 1, noise=0.3):
+        seen = record.motor_position.values + noise * random.standard_normal(len(record.motor_position))
+        seen = np.round(seen / digit) * digit if digit else seen
+        logs.append(replace(record, motor_position=replace(record.motor_position, values=seen)))
+
+    def errors(cutoff: float | None) -> tuple[float, float]:
+        """Return the largest error of a friction or rotor, and of a joint's fresh torque, as shares."""
+        found = by_idim(ARM, logs, filtering=Filtering(cutoff=cutoff))
+        own = [name.endswith(("viscous", "coulomb", "rotor_inertia")) for name in found.names]
+        off = np.abs(found.values[own] / truth(found)[own] - 1)
+        return float(off.max()), max(axis.filtered_error for axis in validate(found.estimate, fresh).axes)
+
+    default, *by_hand = (errors(hertz) for hertz in (None, 6.0, 20.0))
+    assert np.all(np.array(default) < np.min(by_hand, axis=0) + 2e-3) and max(default) < 0.01
+    assert (by_hand[-1][0] > 3 * default[0]) == bool(noise)
