@@ -142,7 +142,7 @@ def _run(  # type: ignore[no-untyped-def]
 def simulate(axis: Drive, values: dict[str, float], after: FloatArray) -> tuple[FloatArray, AxisInput, float]:
     """Return the controller's output at its instants, the loop's input, and the largest wind-up, by small steps."""
     whole = prepare(axis.loop, axis.record)
-    experiment, feedback, law = whole.axis, whole.sampled.feedback, whole.axis.law
+    experiment, feedback, law = whole.axis, whole.sampled, whole.axis.law
     assert law.phases == 1 and whole.clock.lengths.size == 1  # a delay of whole periods
     steps = max(round(law.period / _STEP), 1)
     row = np.array([values.get(name, 0.0) for name in _ORDER])

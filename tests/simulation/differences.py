@@ -11,6 +11,7 @@ from jointid.models.controllers import number, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.simulation.derivatives import differentiate
+from jointid.simulation.drive_side import DriveSideRun, differentiate_drive_side, moves_links
 from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome, Run, Simulation, run_loop
@@ -38,6 +39,15 @@ def sensitivities(
     (torque,), moved = differentiate(run, [Place(0, name) for name in names], positions=positions)
     motor, load = (moved[:, i] if moved.shape[1] > i else torque[:, :0] for i in range(2))
     return Sensitivities(run, torque, motor, load)
+
+
+def drive_side_slopes(run: DriveSideRun, places: Sequence[Place]) -> FloatArray:
+    """Return the derivatives of the torques that a prescribed motion takes, (parts, n, places)."""
+    found = differentiate_drive_side(run, places)
+    for i, (own, columns) in enumerate(run.columns(places)):
+        alone = [not moves_links(places[c], run.numbers) for c in own]
+        found[:, i, own[alone]] = columns[:, alone]
+    return found
 
 
 def simulate_moved(

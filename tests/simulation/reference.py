@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.tables import Plant, SampledLoop
+from jointid.simulation.kernels import Plant, SampledLoop
 from jointid.simulation.loop_input import LoopInput
 from jointid.simulation.start import Initial, Numbers, begin
 from tests.models.robots.trees import mass_matrix_by_regressor, torque_by_regressor
@@ -195,7 +195,7 @@ def simulate(
     place: FloatArray, speed: FloatArray, wound: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, int]:  # fmt: skip
     """Return torques that act, (axes, clock), positions and velocities, (clock, masses), and the number of events."""
-    law, (axes, clock) = loop.feedback, loop.post.shape
+    law, (axes, clock) = loop, loop.post.shape
     motion = _Motion(plant, tree, inertials, [place, speed, wound], float(np.sum(loop.lengths)))
     command, z, n = np.zeros((axes, clock)), z.copy(), len(plant.masses)
     q, v = np.zeros((clock, n)), np.zeros((clock, n))

@@ -46,15 +46,6 @@ def record(
     return Record(torque=torque, reference=Channel(reference, "m", period, commanded), **more)  # type: ignore[arg-type]
 
 
-def test_an_axis_at_rest_on_its_reference_stays_there() -> None:
-    loop = ClosedLoop(FlexibleJoint("prismatic"), EMPS)
-    run = simulate(loop, prepare(loop, record(np.full(500, 0.3))), FLEXIBLE)
-    assert np.array_equal(run.motor_position, np.full(500, 0.3))
-    assert np.array_equal(run.motor_velocity, np.zeros(500))
-    assert np.max(np.abs(run.torque)) < 1e-9
-    assert run.events == 0
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.4e-3, 1e-3, 2.3e-3])
 def test_a_delay_is_a_later_torque(delay: float) -> None:
     """A delayed law equals an undelayed one on a four times finer clock, where 0.4 ms and 2.3 ms are no fractions."""
@@ -103,25 +94,15 @@ def test_the_log_may_be_slower_or_faster_than_the_loop() -> None:
     assert np.max(np.abs(fine.motor_position[1:-1:2] - between)) < 1e-6
 
 
-def test_an_averaged_log_is_the_mean_over_the_period_before() -> None:
-    fast = replace(EMPS, period=2.5e-4)
-    loop = ClosedLoop(RigidJoint("prismatic"), fast)
-    every = simulate(loop, prepare(loop, record(np.repeat(REFERENCE, 4), 2.5e-4)), RIGID).torque
-    shown = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
-    assert np.allclose(shown[1:], every.reshape(-1, 4).mean(axis=1)[:-1], rtol=0, atol=1e-9)
-
-
-def test_an_averaged_log_as_fast_as_the_loop_shows_the_period_before() -> None:
-    loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
-    held = simulate(loop, prepare(loop, record()), RIGID).torque
-    averaged = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
-    assert np.allclose(averaged[1:], held[:-1], rtol=0, atol=1e-9)
-    twice = record(np.repeat(REFERENCE, 2), T / 2, Timing.AVERAGED)
-    slow = replace(EMPS, period=T)
-    fine = ClosedLoop(RigidJoint("prismatic"), slow)
-    shown = simulate(fine, prepare(fine, twice), RIGID).torque
-    assert np.allclose(shown[1::2], held, rtol=0, atol=1e-9)
-    assert np.allclose(shown[2::2], held[:-1], rtol=0, atol=1e-9)
+@pytest.mark.parametrize(("loops", "logged"), [(4, 1), (1, 1), (1, 2)], ids=["slower", "as fast", "faster"])
+def test_an_averaged_log_is_the_mean_over_its_sample_time_before(loops: int, logged: int) -> None:
+    """Of a loop that has so many periods in a millisecond, and a log of so many samples."""
+    loop = ClosedLoop(RigidJoint("prismatic"), replace(EMPS, period=T / loops))
+    every = simulate(loop, prepare(loop, record(np.repeat(REFERENCE, loops), T / loops)), RIGID).torque
+    averaged = record(np.repeat(REFERENCE, logged), T / logged, Timing.AVERAGED)
+    shown = simulate(loop, prepare(loop, averaged), RIGID).torque
+    means = np.repeat(every, 4 // loops).reshape(-1, 4 // logged).mean(axis=1)
+    assert np.allclose(shown[1:], means[:-1], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("delay", [0.5e-3, 1.25e-3])

@@ -6,16 +6,10 @@ import pytest
 from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import TABLE_2
-from jointid.simulation.drive_side import (
-    LOAD_STATE,
-    PARTS,
-    DriveSideRun,
-    differentiate_drive_side,
-    prescribe,
-    run_drive_side,
-)
+from jointid.simulation.drive_side import LOAD_STATE, PARTS, DriveSideRun, prescribe, run_drive_side
 from jointid.simulation.plant import Numbers, Place
-from jointid.simulation.simulate import Outcome, motion_of
+from jointid.simulation.simulate import motion_of
+from tests.simulation.differences import drive_side_slopes
 
 T = 1e-3
 JOINT = FlexibleJoint("prismatic")
@@ -68,9 +62,7 @@ def test_derivatives_are_those_of_differences(pause: bool) -> None:
     values |= {"initial_load_position": 1e-4, "initial_load_velocity": 1e-3}
     names = tuple(p.name for p in joint.parameters) + LOAD_STATE
     run = run_along(wave(pause=pause), values, joint=joint)
-    places = [Place(0, name) for name in names]
-    ((own, columns),), slopes = run.columns(places), differentiate_drive_side(run, places)[:, 0]
-    slopes[:, own] += columns
+    slopes = drive_side_slopes(run, [Place(0, name) for name in names])[:, 0]
     for i, name in enumerate(names):
         step = 1e-5 * abs(values[name])
         above, below = (
@@ -91,10 +83,3 @@ def test_a_rigid_joint_takes_its_inverse_model() -> None:
     acceleration = -np.sin(np.outer(t, w)) @ (np.array([0.02, 8e-4, 1e-4]) * w**2)
     inside = slice(200, -200)  # a spline knows nothing beyond its ends
     assert np.max(np.abs((columns[:, 0] - acceleration)[inside])) < 2e-3 * np.max(np.abs(acceleration))
-
-
-@pytest.mark.parametrize("change", [{"load_inertia": -1.0}, {"motor_inertia": 0.0}, {"stiffness": np.nan}])
-def test_what_no_joint_has_is_not_simulated(change: dict[str, float]) -> None:
-    run = run_along(wave(), TABLE_2 | change)
-    assert run.outcome is Outcome.INVALID
-    assert not np.any(run.torque)

@@ -9,9 +9,8 @@ from jointid.common.arrays import FloatArray
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
-from jointid.simulation.kernels.tables import FINISHED, TOO_STIFF
 from jointid.simulation.plant import Numbers
-from jointid.simulation.simulate import integrate, motion_of, pass_on
+from jointid.simulation.simulate import Outcome, integrate, motion_of, pass_on
 from tests.simulation.reference import simulate
 
 T = 1e-3
@@ -24,23 +23,25 @@ JOINT = FlexibleJoint("prismatic")
 
 def free(
     joint: Joint, values: dict[str, float], torque: FloatArray, x0: FloatArray, period: float = T, way: str = "exact"
-) -> tuple[int, FloatArray, FloatArray, int]:
-    """Return status, positions and velocities, (periods, masses), and events of a joint under torques.
+) -> tuple[Outcome, FloatArray, FloatArray, int]:
+    """Return outcome, positions and velocities, (periods, masses), and events of a joint under torques.
 
     The ways are the maps of lines ("exact"), the steps of any law, and the slow reference.
     """
-    plant, loop = Numbers.of_joint(joint, values).plant, pass_on(torque[np.newaxis, np.newaxis], period)
+    plant, loop = Numbers.of_joint(joint, values).plant, pass_on(torque[np.newaxis], period)
     n, none = len(plant.masses), np.zeros((1, 0))
     place, speed, before = x0[: 2 * n : 2], x0[1 : 2 * n : 2], torque[:1]
     if way == "reference":
-        return 0, *simulate(plant, None, np.zeros((0, 10)), loop, before, none, place, speed, np.sign(speed))[1:]
-    status, _, _, tape, path, counts = integrate(
+        return Outcome.FINISHED, *simulate(
+            plant, None, np.zeros((0, 10)), loop, before, none, place, speed, np.sign(speed)
+        )[1:]
+    outcome, _, _, tape, path, counts = integrate(
         plant, None, np.zeros((0, 10)), loop, before, np.array([math.inf]), none, place, speed, np.sign(speed),
         keep=True, straight=way == "exact",
     )  # fmt: skip
     if way == "steps":
-        return status, *motion_of(tape, n, torque.size)[:2], int(counts[0])
-    return status, path.states[:, : 2 * n : 2], path.states[:, 1 : 2 * n : 2], int(counts[0])
+        return outcome, *motion_of(tape, n, torque.size)[:2], int(counts[0])
+    return outcome, path.states[:, : 2 * n : 2], path.states[:, 1 : 2 * n : 2], int(counts[0])
 
 
 WAYS = pytest.mark.parametrize("way", ["exact", "steps"])
@@ -50,8 +51,8 @@ WAYS = pytest.mark.parametrize("way", ["exact", "steps"])
 def test_stands_exactly_still_at_rest_and_comes_loose_beyond_the_cone(way: str) -> None:
     force = np.linspace(-13.0, 6.8, 300)  # within the motor's cone, shifted by the offset
     x0 = np.array([0.1234567, 0.0, 0.1234567, 0.0])
-    status, q, v, events = free(JOINT, SLIDER, force, x0, way=way)
-    assert (status, events) == (FINISHED, 0)
+    outcome, q, v, events = free(JOINT, SLIDER, force, x0, way=way)
+    assert (outcome, events) == (Outcome.FINISHED, 0)
     assert np.all(q == q[0]) and not np.any(v)
     values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 5.0, "offset": 0.5}
     for push, moves in ((5.5, False), (5.5 + 1e-7, True), (-4.5, False), (-4.5 - 1e-7, True)):
@@ -81,10 +82,10 @@ def test_a_stop_at_the_end_of_a_period_ends_no_simulation() -> None:
     for speed in (0.1, 0.2, 1.0, 1.0 / 3.0):
         for periods in range(3, 30):
             values = {"inertia": 1.0, "viscous": 0.0, "coulomb": speed / (periods * T), "offset": 0.0}
-            status, _, v, _ = free(
+            outcome, _, v, _ = free(
                 RigidJoint("prismatic"), values, np.zeros(periods + 3), np.array([0.0, speed]), way="steps"
             )
-            assert status == FINISHED and abs(v[-1, 0]) < 1e-12
+            assert outcome is Outcome.FINISHED and abs(v[-1, 0]) < 1e-12
 
 
 def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -> None:
@@ -109,6 +110,6 @@ def test_a_joint_far_too_stiff_returns_a_status_in_bounded_work() -> None:
     force = 200.0 * np.sin(2 * np.pi * 5.0 * np.arange(500) * T)
     for stiffness in 10.0 ** np.arange(7, 21):
         values = SLIDER | {"stiffness": stiffness, "damping": 0.0}
-        status, q, _, _ = free(JOINT, values, force, np.array([0.0, 0.1, 0.0, -0.1]))
+        outcome, q, _, _ = free(JOINT, values, force, np.array([0.0, 0.1, 0.0, -0.1]))
         assert np.all(np.isfinite(q))
-    assert status == TOO_STIFF
+    assert outcome is Outcome.TOO_STIFF

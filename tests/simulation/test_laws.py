@@ -1,6 +1,5 @@
 """Every law of friction, springs and gravity in its loop: derivatives against differences, equations, starts."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +8,14 @@ import pytest
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.records.record import Channel, Record
-from jointid.simulation.drive_side import PARTS, DriveSideRun, differentiate_drive_side, prescribe, run_drive_side
+from jointid.simulation.drive_side import PARTS, DriveSideRun, prescribe, run_drive_side
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, Place
-from jointid.simulation.start import Initial, steady_joint
+from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
 from tests.plants import prismatic, rotary
-from tests.simulation.differences import error_beside_differences, sensitivities
+from tests.simulation.differences import drive_side_slopes, error_beside_differences, sensitivities
 
 LINK = Gravity("link", Counterbalance(cos=4.0, rate=1.0))
 VALUES = {
@@ -57,9 +56,7 @@ def test_the_equation_of_a_link_in_gravity_holds(joint: Joint, values: dict[str,
         return run_drive_side(motion, Numbers.of_joint(joint, other))
 
     prescribed = along_with(values)
-    places = [Place(0, name) for name in names]
-    ((own, slopes),), moved = prescribed.columns(places), differentiate_drive_side(prescribed, places)[:, 0]
-    moved[:, own] += slopes
+    moved = drive_side_slopes(prescribed, [Place(0, name) for name in names])[:, 0]
     along = prescribed.torque.reshape(-1, PARTS).mean(axis=1)
     smooth = np.abs(whole.motor_velocity[:-1]) > 0.05
     assert np.sqrt(np.mean((along - whole.torque[:-1])[smooth] ** 2)) < 0.03 * np.std(whole.torque)
@@ -79,12 +76,6 @@ def test_derivatives_of_a_link_that_begins_off_its_reference(joint: Joint, value
         size = 4.0 if name == "offset" else abs(values.get(name, 1e-3 if name == "delay" else 1.0))
         steps = tuple(size * np.logspace(-8, -4, 5))
         assert error_beside_differences((found[:, j],), loop, record, values, name, steps, start) < 1e-3, name
-
-
-def test_a_load_at_rest_hangs_where_its_spring_carries_it() -> None:
-    load = steady_joint(Numbers.of_joint(HANGING[1][0], VALUES), 0.7, 0.0, 0.0).settle()[0][1]
-    weight = 36.0 * math.cos(load) + 15.0 * math.sin(load) - 1.0 * load
-    assert VALUES["stiffness"] * (0.7 - load) == pytest.approx(weight, rel=1e-10)
 
 
 def test_a_constant_load_is_an_offset_to_the_torque_and_a_preload_to_the_spring() -> None:

@@ -45,14 +45,8 @@ def slopes(name: str, law: Cascade = LAW) -> object:
 REFUSED: dict[str, tuple[Callable[[], object], type[JointidError]]] = {
     "a record of fewer than ten periods": (lambda: prepare(LINE, record(5)), RecordError),
     "a period far below the log's": (lambda: prepare_at(1e-9), RecordError),
-    "a period as long as the record": (
-        lambda: prepare_at(1.0),
-        RecordError,
-    ),
-    "a period that does not divide": (
-        lambda: prepare_at(7e-4),
-        RecordError,
-    ),
+    "a period as long as the record": (lambda: prepare_at(1.0), RecordError),
+    "a period that does not divide": (lambda: prepare_at(7e-4), RecordError),
     "a record in other units": (lambda: prepare(LINE, record(unit="rad")), RecordError),
     "an injected signal that a measured torque lacks": (
         lambda: record(tap=Tap.MEASURED, injected=Injection(Channel(np.zeros(500), "N", T), in_torque=False)),

@@ -9,17 +9,12 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.inverse_model import moving_weights, turning_weights
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
-from jointid.simulation.drive_side import (
-    DriveSideRun,
-    PrescribedMotion,
-    differentiate_drive_side,
-    prescribe,
-    run_drive_side,
-)
+from jointid.simulation.drive_side import DriveSideRun, PrescribedMotion, prescribe, run_drive_side
 from jointid.simulation.plant import LOAD_STATE, Numbers, Place
 from jointid.simulation.simulate import Outcome, Simulation, motion_of
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, all_places, inertial, six, two, with_springs
+from tests.simulation.differences import drive_side_slopes
 from tests.simulation.test_robots import COUPLED, changed
 
 
@@ -90,7 +85,9 @@ def test_a_record_may_begin_in_motion() -> None:
     run, numbers = played(twin), Numbers.of(twin.robot)
     motion = prescribed(twin.robot, run, first=first)
     steady = run_drive_side(motion, numbers)
-    beside = np.column_stack([run.load_position[first] - steady.start[:2], run.load_velocity[first] - motion.speeds])
+    beside = np.column_stack(
+        [run.load_position[first] - steady.start[:2], run.load_velocity[first] - motion.velocity[0]]
+    )
     places = [Place(j, name) for j in range(2) for name in LOAD_STATE]
     found = run_drive_side(motion, numbers.with_values(places, beside.ravel()))
     at = places_of(found)[: len(run.load_position) - first, :2]
@@ -116,9 +113,7 @@ def test_derivatives_are_those_of_differences(hertz: tuple[float | None, float |
     motion = prescribed(twin.robot, run, parts=4)
     places = (*all_places(numbers), *first)
     found = run_drive_side(motion, numbers)
-    slopes = differentiate_drive_side(found, places)
-    for i, (own, columns) in enumerate(found.columns(places)):
-        slopes[:, i, own] += columns
+    slopes = drive_side_slopes(found, places)
     sizes = np.linalg.norm(slopes, axis=(0, 1))
     for c, place in enumerate(places):
         value = numbers[place]

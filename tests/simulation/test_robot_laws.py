@@ -11,11 +11,7 @@ from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.plant import (
-    Numbers,
-    Place,
-    robot_with,
-)
+from jointid.simulation.plant import Numbers, Place, robot_with
 from jointid.simulation.simulate import Outcome, run_loop
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate

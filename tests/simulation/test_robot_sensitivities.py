@@ -84,16 +84,6 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
     assert np.all(error[~felt] < 1e-5 * np.max(sizes))
 
 
-def test_derivative_by_parameters_that_are_not_the_run_s_own_kind() -> None:
-    """Of a parameter that nothing feels, such as the mass of a first link on an upright axis, there is none."""
-    loop = six().loop()
-    experiment, numbers = prepare(loop, six().records(0.5)), Numbers.of(loop.robot)
-    places = tuple(place for place in all_places(numbers) if place.axis == 0 and place.of_link)
-    found = np.stack(differentiate(run_loop(experiment, numbers, keep=True), places)[0], axis=1)
-    felt = np.max(np.abs(found), axis=(0, 1)) > 1e-9
-    assert [place.name for place, one in zip(places, felt, strict=True) if one] == ["Izz"]
-
-
 @pytest.mark.parametrize(
     ("loop", "averaged"),
     [

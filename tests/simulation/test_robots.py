@@ -9,7 +9,7 @@ import pytest
 from jointid.models.controllers import PD, PID
 from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Channel, Record
-from jointid.simulation.kernels.tables import FREE, LENGTH, STATE
+from jointid.simulation.kernels import FREE, LENGTH, STATE
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome, Run, motion_at, run_loop

@@ -49,7 +49,6 @@ class KernelCache(FunctionCache):
 _SOURCES = (
     "common/compiled.py",
     "models/controllers/recurrence.py",
-    "simulation/plant.py",
     "records/signals/sections.py",
     "simulation/kernels/*.py",
     "models/robots/*.py",

@@ -68,9 +68,9 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     velocity = np.gradient(reference)
     moving = np.abs(velocity) > _STANDS * np.max(np.abs(velocity))
     inputs = [np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))]
-    if problem.axis.injected:
-        experiment = problem.axis
-        inputs.append(to_log(experiment, experiment.inputs[:, INJECTED] + experiment.after_limit))
+    added = problem.axis.inputs[:, INJECTED] + problem.axis.after_limit
+    if np.any(added):
+        inputs.append(to_log(problem.axis, added))
     count, seen = len(inputs), problem.filter(np.column_stack(inputs))
     lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
     rows, width = torque.size, count * lags + 1

@@ -14,11 +14,11 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.models.controllers import POSITION, respond, run
+from jointid.models.controllers import respond, run
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.resampling import at_period
-from jointid.simulation.loop_input import AxisInput, prepare, to_log
+from jointid.simulation.loop_input import AxisInput, along, prepare, to_log
 
 SOURCE = "computed from the controller and the motor position"
 
@@ -116,7 +116,6 @@ class SeenPosition:
 
 
 def _along(position: Channel, axis: AxisInput, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a law's inputs with a motor position, and its first states."""
-    law, inputs = axis.law, inputs.copy()
-    inputs[:, POSITION] = at_period(position, law.period, axis.periods, "motor_position", "spline")
-    return inputs, law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
+    """Return the inputs of an axis' law with a motor position, and its first states."""
+    law = axis.law
+    return along(law, inputs, at_period(position, law.period, axis.periods, "motor_position", "spline"))

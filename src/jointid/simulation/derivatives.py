@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
-from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
+from jointid.models.controllers import number, respond, with_numbers
 from jointid.models.controllers import run as run_law
+from jointid.models.friction import KNOTS
 from jointid.models.joints import Joint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
-from jointid.simulation.kernels.tables import LANES, IntArray, Moved, Seeds, Slopes
-from jointid.simulation.loop_input import AxisInput, acting, averages, to_log
-from jointid.simulation.plant import DELAY, NO_LINKS, Numbers, Place, names_of, stribeck_share
+from jointid.simulation.kernels import LANES, IntArray, Seeds
+from jointid.simulation.loop_input import AxisInput, acting, along, averages, to_log
+from jointid.simulation.plant import DELAY, Numbers, Place, names_of
 from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
 from jointid.simulation.start import INITIAL, start_slopes
 
@@ -33,6 +34,7 @@ _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial i
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
 _AT_ONCE = 256  # samples of a regressor, which is much larger than what is taken of it
+_NOBODY = Place(0, "")  # of what nothing depends on
 _ROOM = Room()
 
 
@@ -50,30 +52,23 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
         positions: of a joint's motor and load, (samples, masses, keys); else (samples, 0, keys).
     """
     experiment, clock = kept.experiment, kept.experiment.clock
-    of_law = [key for key in keys if _is_of_law(kept, key)]
-    for key in of_law:
-        number(experiment.axes[key.axis].controller, key.name)
     shown = min(kept.start.places.size, 2) if positions else 0
     nothing = [np.zeros((clock.samples, len(keys))) for _ in experiment.axes]
     still = np.zeros((clock.samples, shown, len(keys)))
     if kept.outcome is not Outcome.FINISHED:
         return nothing, still
-    own = [key for key in keys if key not in of_law]
-    order = [*own, *of_law]  # the law's own columns come last in a block
     wide = LANES if kept.path.straight else max(len(keys), 1)
     commands, moved = [], []
     for first in range(0, max(len(keys), 1), wide):
-        some = order[first : first + wide]
-        begun = start_slopes(experiment, kept.carried, kept.start, some)
-        explicit = [(key.axis, *_explicit(kept, key)) for key in some if _is_of_law(kept, key)]
-        command, states = _follow(kept, some, begun, explicit, positions)
-        commands.append(command)
-        moved.append(states[clock.log_index][:, : 2 * shown : 2] if shown else still[..., : command.shape[2]])
-    place = [order.index(key) for key in keys]
+        some = keys[first : first + wide]
+        filled = (*some, *[_NOBODY] * (wide - len(some)))
+        begun = start_slopes(experiment, kept.carried, kept.start, filled)
+        explicit = [(c, key.axis, *_explicit(kept, key)) for c, key in enumerate(some) if _is_of_law(kept, key)]
+        command, states = _follow(kept, filled, begun, explicit, positions)
+        commands.append(command[..., : len(some)])
+        moved.append(states[clock.log_index, : 2 * shown : 2, : len(some)] if shown else still[..., : len(some)])
     command = commands[0] if len(commands) == 1 else np.concatenate(commands, axis=2)
     states = moved[0] if len(moved) == 1 else np.concatenate(moved, axis=2)
-    if place != sorted(place):
-        command, states = command[..., place], states[..., place]
     torques = [_show(kept, j, command[j], keys) for j in range(len(experiment.axes))]
     if experiment.tree is None and torques[0].size and not (-_ASTRAY < torques[0].min() <= torques[0].max() < _ASTRAY):
         return nothing, still
@@ -97,30 +92,24 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
     experiment, clock, count = kept.experiment, kept.experiment.clock, len(changes)
     motors = kept.numbers.motors
     position = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, motors]
-    explicit, direct = list[tuple[int, FloatArray, FloatArray]](), list[FloatArray]()
-    for j, other in changes:
+    explicit, direct = list[tuple[int, int, FloatArray, FloatArray]](), list[FloatArray]()
+    for column, (j, other) in enumerate(changes):
         own = experiment.axes[j]
         path, speed, law = clock.own(j, position[:, j], own.periods), float(experiment.speeds[j]), own.law
-        before, after = (_run_law(one, path, speed) for one in (own, other))
+        before, after = (run_law(one.law, *along(one.law, one.inputs, path, speed)) for one in (own, other))
         late = (other.law.delay - law.delay) / law.period
         pushed = (1.0 - late) * after + late * np.append(after[0], after[:-1]) - before
         of_output = np.arange(law.limits.size) == law.output
-        explicit.append((j, np.outer(pushed, of_output), np.zeros(law.limits.size)))
+        explicit.append((column, j, np.outer(pushed, of_output), np.zeros(law.limits.size)))
         shown = (to_log(one, of + one.shown) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
-    still = np.zeros((kept.start.places.size, count))
-    states = np.zeros((len(experiment.axes), kept.start.states.shape[1], count))
+    width = LANES if kept.path.straight else count
+    still = np.zeros((kept.start.places.size, width))
+    states = np.zeros((len(experiment.axes), kept.start.states.shape[1], width))
     command, _ = _follow(kept, (), (still, still, states), explicit)
-    for column, (j, pushed, _) in enumerate(explicit):
+    for column, j, pushed, _ in explicit:
         command[j, :, column] -= clock.repeat(j, pushed @ np.ones(pushed.shape[1]))
-    return [_show(kept, j, command[j], ()) for j in range(len(experiment.axes))], direct
-
-
-def _run_law(axis: AxisInput, position: FloatArray, speed: float) -> FloatArray:
-    """Return the torque of a law along a motor position, (periods,), that begins at a speed."""
-    law, inputs = axis.law, axis.inputs.copy()
-    inputs[:, POSITION] = position
-    return run_law(law, inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed))
+    return [_show(kept, j, command[j, :, :count], ()) for j in range(len(experiment.axes))], direct
 
 
 def _show(kept: Run, j: int, command: FloatArray, keys: Sequence[Place]) -> FloatArray:
@@ -141,46 +130,37 @@ def _is_of_law(kept: Run, key: Place) -> bool:
 
 def _follow(
     kept: Run, keys: Sequence[Place], first: Sequence[FloatArray],
-    explicit: Sequence[tuple[int, FloatArray, FloatArray]], positions: bool = False,
+    explicit: Sequence[tuple[int, int, FloatArray, FloatArray]], positions: bool = False,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Return the derivatives of outputs, (n, steps, keys), and of a joint's states, (parts, 4, lanes).
+    """Return the derivatives of outputs, (n, steps, keys), and of a joint's states, (parts, 4, keys).
 
     Args:
         kept: that was kept.
         keys: of numbers of the plant.
         first: derivatives of the first state, see `start_slopes`, of these and of what is explicit.
-        explicit: axis of each law's number, and see `_explicit`.
+        explicit: column and axis of each law's number, and see `_explicit`.
         positions: whether those of the states are asked for.
     """
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
-    (n, elements, _), count = experiment.sampled.w.shape, first[0].shape[1]
-    width = LANES if kept.path.straight else count
+    (n, elements, _), width = experiment.sampled.w.shape, first[0].shape[1]
     command = np.zeros((n, clock.steps, width))
     rows = clock.steps * clock.lengths.size if positions else 0
     states = _ROOM.array("moved", (rows, 4, width))
     limits = np.zeros((n, elements, width))
     of_law = np.zeros((n, experiment.sampled.w.shape[2] if explicit else 0, elements, len(explicit)))
-    for c, (j, of_elements, of_limits) in enumerate(explicit):
+    for c, (column, j, of_elements, of_limits) in enumerate(explicit):
         own = of_limits.size
-        of_law[j, : len(of_elements), :own, c], limits[j, :own, count - len(explicit) + c] = of_elements, of_limits
-    places, speeds, states_of_law = (_widen(one, width) for one in first)
-    moved = Moved(places, speeds, states_of_law, of_law, count - len(explicit), limits)
-    straight = kept.path.straight
+        of_law[j, : len(of_elements), :own, c], limits[j, :own, column] = of_elements, of_limits
+    straight, (places, speeds, laws) = kept.path.straight, first
     seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if straight else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 
     follow(
         kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
-        kept.excess, kept.tape, kept.path, seeds, moved, Slopes(command, states, NO_LINKS),
+        kept.excess, kept.tape, kept.path, seeds, places, speeds, laws, of_law,
+        np.array([column for column, *_ in explicit], dtype=np.int64), limits, command, states, command[:, :0],
     )  # fmt: skip
-    return command[..., :count], states[..., :count]
-
-
-def _widen(slopes: FloatArray, width: int) -> FloatArray:
-    """Return derivatives, (..., keys), with columns of zeros up to a width."""
-    wide = np.zeros((*slopes.shape[:-1], width))
-    wide[..., : slopes.shape[-1]] = slopes
-    return wide
+    return command, states
 
 
 @lru_cache(maxsize=64)
@@ -202,9 +182,7 @@ def _explicit(kept: Run, key: Place) -> tuple[FloatArray, FloatArray]:
         return np.zeros((axis.periods, axis.law.limits.size)), np.zeros(axis.law.limits.size)
     unit = axis.law.period if name.endswith("delay") else 1.0
     steps = (-_STEP * abs(value), _STEP * abs(value)) if value else (0.0, _FROM_NOTHING * unit)
-    inputs = axis.inputs.copy()
     position = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, motor]
-    inputs[:, POSITION] = clock.own(j, position, axis.periods)
     low, high = (axis.law_of(with_numbers(axis.controller, {name: value + by})) for by in steps)
     if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
         raise MethodError(
@@ -212,22 +190,17 @@ def _explicit(kept: Run, key: Place) -> tuple[FloatArray, FloatArray]:
             "declare another."
         )
     held, width = np.asarray(kept.excess[j, : axis.periods, : low.limits.size]), steps[1] - steps[0]
-    above, below = (respond(law, inputs, _start_states(law, inputs, kept, j), held) for law in (high, low))
+    seen, speed, torque = clock.own(j, position, axis.periods), float(kept.start.speeds[motor]), kept.start.torques[j]
+    found = []
+    for law in (low, high):
+        inputs, state = along(law, axis.inputs, seen, speed)
+        integral = law.integral()
+        if integral is not None and torque is not None:
+            state = state + integral * (torque - law.C[0, law.output] @ state - law.D[0, law.output] @ inputs[0])
+        found.append(respond(law, inputs, state, held))
     with np.errstate(invalid="ignore"):
         limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
-    return (above - below) / width, limits
-
-
-def _start_states(law: SampledLaw, inputs: FloatArray, kept: Run, j: int) -> FloatArray:
-    """States of an axis' law at the first period of a run, (states,)."""
-    motor, torque = kept.numbers.motors[j], kept.start.torques[j]
-    position, velocity = float(kept.start.places[motor]), float(kept.start.speeds[motor])
-    state = law.known_memory(inputs) + law.memory(POSITION, position, velocity)
-    integral = law.integral() if torque is not None else None
-    if integral is None or torque is None:
-        return state
-    first = law.C[0, law.output] @ state + law.D[0, law.output] @ inputs[0]
-    return np.asarray(state + integral * (torque - first))
+    return (found[1] - found[0]) / width, limits
 
 
 # Columns of a known motion
@@ -311,13 +284,13 @@ def mass_column(
 ) -> FloatArray:  # fmt: skip
     """Return the regressor column of a number of a mass in a motion, (samples,); it slides in the direction."""
     own = place.own
-    if own in ("inertia", "viscous", "coulomb"):
-        return {"inertia": acceleration, "viscous": velocity, "coulomb": direction}[own]
-    if own == "offset":
-        return np.ones_like(velocity)
+    known = {"inertia": acceleration, "viscous": velocity, "coulomb": direction, "offset": np.ones_like(velocity)}
+    if own in known:
+        return known[own]
     if own == "stribeck_force":
         below = numbers.values[place.axis][f"{place.side}stribeck_speed"]
-        return np.asarray(direction * stribeck_share(below, velocity))
+        share = np.interp(np.abs(velocity) / below, *np.transpose(KNOTS)) if below > 0.0 else 0.0
+        return np.asarray(direction * share)
     if own.startswith(("viscous_", "coulomb_")) and own.endswith(("forwards", "backwards")):
         way = 1.0 if own.endswith("forwards") else -1.0
         clip = np.maximum if way > 0.0 else np.minimum

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -26,18 +25,9 @@ from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.derivatives import columns_of
-from jointid.simulation.kernels.tables import NO_PATH, STATE, IntArray, Moved, Slopes
+from jointid.simulation.kernels import NO_PATH, STATE, IntArray
 from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place
-from jointid.simulation.simulate import (
-    OUTCOMES,
-    STEPS,
-    MassMotion,
-    Outcome,
-    choose_steps,
-    integrate,
-    motion_of,
-    pass_on,
-)
+from jointid.simulation.simulate import STEPS, MassMotion, Outcome, choose_steps, integrate, motion_of, pass_on
 from jointid.simulation.start import Steady
 
 PARTS = 4
@@ -47,8 +37,6 @@ PARTS_OF_ROBOT = 1
 
 _DEGREE = 7  # of the spline, odd: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
 _HELD = 1e6  # kg m2 of one in a step's choice, which asks for numbers of one size
-
-Columns: TypeAlias = list[tuple[IntArray, FloatArray]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +75,7 @@ class PrescribedMotion:
 
     Attributes:
         tree: of the links; None of a joint.
-        speeds, accelerations: (n,) at the first edge.
+        accelerations: (n,) at the first edge.
         step: seconds from edge to edge.
         position, velocity: (edges, n) of the shafts that the motors turn.
         joined: (edges, n) the velocities that the held accelerations join (see the module).
@@ -96,7 +84,6 @@ class PrescribedMotion:
     """
 
     tree: Tree | None
-    speeds: FloatArray
     accelerations: FloatArray
     step: float
     position: FloatArray
@@ -134,9 +121,7 @@ def prescribe(
     still = np.broadcast_to(resting, home.shape)
     joined[0, still] = velocity[0, still] = acceleration[0, still] = 0.0
     direction = _mean_direction(velocity)
-    return PrescribedMotion(
-        tree, velocity[0], acceleration[0], step, np.asarray(spline(edges) + home), velocity, joined, direction
-    )
+    return PrescribedMotion(tree, acceleration[0], step, np.asarray(spline(edges) + home), velocity, joined, direction)
 
 
 def _mean_direction(velocity: FloatArray) -> FloatArray:
@@ -169,7 +154,7 @@ class DriveSideRun:
     command: FloatArray
     tape: FloatArray
 
-    def columns(self, keys: Sequence[Place]) -> Columns:
+    def columns(self, keys: Sequence[Place]) -> list[tuple[IntArray, FloatArray]]:
         """Return the columns of the motors' equations on the motion, by axis: whose they are, (parts, own)."""
         return columns_of(self.prescribed.tree, self.numbers, keys, self.motion, self.numbers.motors)
 
@@ -194,12 +179,11 @@ def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideR
     if outcome is Outcome.FINISHED and len(plant.pairs):
         accelerations = np.diff(prescribed.joined, axis=0) / prescribed.step
         # One more part follows the last one, so that its end is on the tape, too.
-        torques = HEAVY * np.vstack([accelerations, accelerations[-1:]]).T[:, np.newaxis]
-        status, command, _, tape, _, _ = integrate(
+        torques = HEAVY * np.vstack([accelerations, accelerations[-1:]]).T
+        outcome, command, _, tape, _, _ = integrate(
             plant, prescribed.tree, numbers.inertials, pass_on(torques, prescribed.step), np.zeros(n),
             np.full(n, np.inf), np.zeros((n, 0)), places, speeds, np.sign(speeds), keep=True, steps=taken,
         )  # fmt: skip
-        outcome = OUTCOMES[status]
     nothing = np.zeros((parts, masses))
     motion, torque = MassMotion(nothing, nothing, nothing, nothing), nothing[:, :n]
     if outcome is Outcome.FINISHED:
@@ -212,13 +196,14 @@ def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideR
 
 
 def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatArray:
-    """Return how the torques change because the links move otherwise, (parts, n, parameters), by variation.
+    """Return the derivatives of the torques by what moves the links, (parts, n, parameters), by variation.
 
-    Beside that a number acts where it stands in its motor's equation: `DriveSideRun.columns`.
+    A motor that is too heavy to be moved tells in how it is what is to be put on it. Other numbers act where they stand
+    in their motor's equation alone: `DriveSideRun.columns`.
 
     Args:
         run: that finished.
-        keys: parameters.
+        keys: parameters, see `moves_links`.
     """
     from jointid.simulation.kernels.variation import follow
 
@@ -226,16 +211,14 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
     parts, n = prescribed.direction.shape
     if not count or not len(run.tape):
         return np.zeros((parts, n, count))
-    dq, dv = _slopes_at_start(run, keys)
-    found = np.zeros((n, parts + 1, count))
-    moved = Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, 0, 1, 0)), count, np.zeros((n, 1, count)))
-    plant = heavy.plant
+    plant, speeds, none = heavy.plant, np.zeros((n, parts + 1, count)), np.zeros((n, 0, count))
     follow(
-        plant, prescribed.tree, heavy.inertials, pass_on(run.command[:, np.newaxis], prescribed.step), np.zeros(n),
-        run.command, np.zeros((n, 0, 1)), run.tape, NO_PATH, heavy.seeds(plant, keys), moved,
-        Slopes(np.zeros((n, parts + 1, 0)), np.zeros((0, 4, count)), found),
+        plant, prescribed.tree, heavy.inertials, pass_on(run.command, prescribed.step), np.zeros(n), run.command,
+        np.zeros((n, 0, 1)), run.tape, NO_PATH, heavy.seeds(plant, keys), *_slopes_at_start(run, keys),
+        none, np.zeros((n, 0, 1, 0)), np.zeros(0, np.int64), np.zeros((n, 1, count)), np.zeros((n, parts + 1, 0)),
+        np.zeros((0, 4, count)), speeds,
     )  # fmt: skip
-    return found[:, :parts].transpose(1, 0, 2)
+    return -HEAVY / prescribed.step * np.diff(speeds, axis=1).transpose(1, 0, 2)
 
 
 def moves_links(key: Place, numbers: Numbers) -> bool:
@@ -245,7 +228,7 @@ def moves_links(key: Place, numbers: Numbers) -> bool:
 
 
 def _steady(prescribed: PrescribedMotion, numbers: Numbers) -> Steady:
-    free, speeds = prescribed.position[0], prescribed.speeds
+    free, speeds = prescribed.position[0], prescribed.velocity[0]
     return Steady(numbers, free, speeds, prescribed.accelerations, prescribed.tree)
 
 

@@ -8,9 +8,9 @@ a tree.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,17 +28,14 @@ from jointid.models.controllers import (
     law_inputs,
     respond,
     shift_start,
-    with_numbers,
 )
 from jointid.models.joints import ClosedLoop
 from jointid.models.linear import SNAP
 from jointid.models.robots.robot import RobotLoop, Tree
 from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.resampling import at_period, period_ratio, running_mean
+from jointid.simulation.kernels import SampledLoop
 from jointid.simulation.plant import DELAY, Numbers
-
-if TYPE_CHECKING:
-    from jointid.simulation.kernels.tables import SampledLoop
 
 _FEWEST = 10  # periods that can be simulated to any purpose
 _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
@@ -176,11 +173,6 @@ class AxisInput:
         return len(self.inputs)
 
     @property
-    def injected(self) -> bool:
-        """True if a signal is added to the controller's output."""
-        return bool(np.any(self.inputs[:, INJECTED]) or np.any(self.after_limit))
-
-    @property
     def shown(self) -> FloatArray:
         """The part of the logged torque beside the controller's output, (periods,)."""
         return self.after_limit if self.tap is Tap.MEASURED else self.logged
@@ -192,13 +184,15 @@ class AxisInput:
         cubic = np.polyfit(np.arange(reference.size) * self.law.period, reference - reference[0], 3)
         return float(cubic[2]), float(2.0 * cubic[1])
 
+    @property
+    def by_motion(self) -> FloatArray:
+        """What the law puts out at the first period by a motor position and velocity of 1 there, (2,)."""
+        law = self.feedback
+        return np.asarray(law.C[0, law.output] @ self.memory + np.array([law.D[0, law.output, POSITION], 0.0]))
+
     def law_of(self, controller: Controller) -> SampledLaw:
         """Law of a controller with its phase relative to the record's file."""
         return shift_start(controller, self.begin).law(self.sample_time)
-
-    def under(self, controller: Controller) -> AxisInput:
-        """Replace the controller by one of the same period and delay."""
-        return replace(self, law=self.law_of(controller), controller=controller)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,11 +218,9 @@ class LoopInput:
     sampled: SampledLoop = field(init=False)
 
     def __post_init__(self) -> None:
-        from jointid.simulation.kernels.tables import SampledLoop
-
         clock = _share_clock(self.axes, self.names)
         post = _fill_up([clock.repeat(j, each.after_limit) for j, each in enumerate(self.axes)])
-        sampled = SampledLoop(clock.lengths, clock.lags, clock.every, *_pack_laws(self.axes), post)
+        sampled = SampledLoop(clock.lengths, clock.lags, clock.every, **_pack_laws(self.axes), post=post)
         object.__setattr__(self, "clock", clock)
         object.__setattr__(self, "sampled", sampled)
 
@@ -247,14 +239,18 @@ class LoopInput:
         """Return the inputs of a joint with another axis."""
         return replace(self, axes=(axis,))
 
+    def under(self, controller: Controller) -> LoopInput:
+        """Return the inputs of a joint under a controller of the same period and delay."""
+        return self.alone(replace(self.axis, law=self.axis.law_of(controller), controller=controller))
+
     def delayed(self, numbers: Numbers) -> LoopInput:
         """Return the inputs of a robot with the delays of torques that are among its numbers."""
         late = [own.get(DELAY) for own in numbers.values]
         if self.tree is None or all(one is None for one in late):
             return self
         each = zip(self.axes, late, strict=True)
-        laws = [one.law if by is None else replace(one.law, delay=float(by)) for one, by in each]
-        return replace(self, axes=tuple(replace(one, law=law) for one, law in zip(self.axes, laws, strict=True)))
+        later = (one if by is None else replace(one, law=replace(one.law, delay=float(by))) for one, by in each)
+        return replace(self, axes=tuple(later))
 
     def to_log(self, signals: FloatArray) -> FloatArray:
         """Return torques that are put out in each step, (n, steps), as the log shows them, (samples, n)."""
@@ -290,9 +286,13 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
     return LoopInput(axes, loop.robot.tree, motion[0], motion[1], records[-1].payload, loop.robot.names)
 
 
-def change_controller(experiment: LoopInput, numbers: Mapping[str, float]) -> LoopInput:
-    """Return the inputs of a joint under other numbers of its controller."""
-    return experiment.alone(experiment.axis.under(with_numbers(experiment.axis.controller, numbers)))
+def along(
+    law: SampledLaw, inputs: FloatArray, position: FloatArray, speed: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return a law's inputs with a motor position, (periods,), and its states there, where that begins at a speed."""
+    inputs = inputs.copy()
+    inputs[:, POSITION] = position
+    return inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed)
 
 
 def _prepare_axis(loop: ClosedLoop, record: Record) -> AxisInput:
@@ -369,28 +369,24 @@ def _share_clock(axes: Sequence[AxisInput], names: Sequence[str]) -> Clock:
     return Clock.of([each.law for each in axes], step, steps, axes[0].sample_time, samples)
 
 
-def _pack_laws(axes: Sequence[AxisInput]) -> tuple[Any, FloatArray]:
-    """Return the controllers filled up to equal sizes, and their answers to everything but the positions.
-
-    States that are filled up stay 0, as elements do; the answers are (n, elements, periods), each of its own periods.
-    """
-    from jointid.simulation.kernels.tables import Feedback
-
+def _pack_laws(axes: Sequence[AxisInput]) -> dict[str, NDArray[Any]]:
+    """Return the controllers as `SampledLoop` has them, and their answers to everything but the positions."""
     laws = [each.feedback for each in axes]
     phases = math.lcm(*(law.phases for law in laws))
     longest = max(each.periods for each in axes) if any(each.driven.size for each in axes) else 0
 
     def repeat(name: str) -> FloatArray:
-        each = [getattr(law, name) for law in laws]
-        of_position = [one[:, :, POSITION] if name in "BD" else one for one in each]
+        each = [getattr(law, name[0]) for law in laws]
+        of_position = [one[:, :, POSITION] if name in ("Bq", "D") else one for one in each]
         return _fill_up([np.concatenate([one] * (phases // len(one))) for one in of_position])
 
-    A, Bq, F, C, D, E = map(repeat, "ABFCDE")
-    limits = _fill_up([law.limits for law in laws], math.inf)
-    gates = _fill_up([law.gates for law in laws], -1)
-    driven = _fill_up([each.driven for each in axes], 0.0, (longest, 0))
-    kernel = Feedback(A, Bq, F, C, D, E, limits, gates, driven, np.array([law.output for law in laws]))
-    return kernel, _fill_up([each.feedforward for each in axes])
+    return {name: repeat(name) for name in ("A", "Bq", "F", "C", "D", "E")} | {
+        "limits": _fill_up([law.limits for law in laws], math.inf),
+        "gates": _fill_up([law.gates for law in laws], -1),
+        "driven": _fill_up([each.driven for each in axes], 0.0, (longest, 0)),
+        "output": np.array([law.output for law in laws]),
+        "w": _fill_up([each.feedforward for each in axes]),
+    }
 
 
 def _fill_up(arrays: Sequence[NDArray[Any]], beyond: float = 0.0, least: tuple[int, ...] = ()) -> NDArray[Any]:

@@ -18,27 +18,13 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
-from jointid.models.friction import BESIDE, KNOTS, Friction
+from jointid.models.friction import BESIDE, Friction
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.models.springs import Spring
-from jointid.simulation.kernels.tables import (
-    BEGIN,
-    COULOMB,
-    COULOMB_BACK,
-    COULOMB_DRIFT,
-    HIGH,
-    INERTIA,
-    PER_TORQUE,
-    SLIDING,
-    SLIPS,
-    VISCOUS,
-    WAVE,
-    WINDING,
-    Plant,
-    Seeds,
-)
+from jointid.simulation import kernels
+from jointid.simulation.kernels import BEGIN, HIGH, Plant, Seeds
 
 AnyArray: TypeAlias = NDArray[Any]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -50,8 +36,6 @@ DELAY, LOG_DELAY = "delay", "log_delay"
 OF_RECORD = (DELAY, LOG_DELAY, *LOAD_STATE)
 """Numbers of a record and how it begins, or of the drives, not of the robot."""
 
-NO_LINKS = np.zeros((1, 0, 10))
-"""What no motor feels of any link."""
 HEAVY = 1e18
 """Inertia of a motor that is moved: what acts on one of 1e3 N m moves it by 1e-12 rad in a minute."""
 _IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
@@ -112,7 +96,7 @@ class Numbers:
 
     joints: tuple[Joint, ...]
     values: tuple[Mapping[str, Any], ...]
-    inertials: FloatArray = field(default_factory=lambda: NO_LINKS[0])
+    inertials: FloatArray = field(default_factory=lambda: np.zeros((0, 10)))
     heavy: float = 0.0
 
     @classmethod
@@ -199,7 +183,7 @@ class Numbers:
         plant = Plant(whole, pieces, places, tied, motors, carriers)
         if self.heavy:
             plant.masses[motors, :, :HIGH], plant.masses[motors, :, HIGH] = 0.0, math.inf
-            plant.masses[motors, :, INERTIA] = self.heavy
+            plant.masses[motors, :, kernels.INERTIA] = self.heavy
         return plant
 
     def possible(self, plant: Plant, duration: float) -> bool:
@@ -217,14 +201,15 @@ class Numbers:
             return False
         for i, bands in enumerate(plant.masses.tolist()):
             rest, last = bands[0], bands[-1]
-            faded = min(rest[COULOMB], rest[COULOMB_BACK]) + min(rest[COULOMB_DRIFT], 0.0) * duration
-            cone = rest[COULOMB] + rest[COULOMB_BACK] >= 0.0 and (rest[COULOMB_DRIFT] >= 0.0 or faded >= 0.0)
-            mass = (i < links or rest[INERTIA] > 0.0) and rest[WINDING] >= 0.0 and 0.0 <= rest[PER_TORQUE] < 1.0
-            unsigned = not links or min(last[VISCOUS : COULOMB_BACK + 1]) >= 0.0
+            inertia, _, _, _, grip, grip_back, winds, _, drift, share, _ = rest
+            faded = min(grip, grip_back) + min(drift, 0.0) * duration
+            cone = grip + grip_back >= 0.0 and (drift >= 0.0 or faded >= 0.0)
+            mass = (i < links or inertia > 0.0) and winds >= 0.0 and 0.0 <= share < 1.0
+            unsigned = not links or min(last[kernels.VISCOUS : kernels.COULOMB_BACK + 1]) >= 0.0
             if not (cone and mass and unsigned and all(a[HIGH] <= b[HIGH] for a, b in pairwise(bands))):
                 return False
         for pieces in plant.springs.tolist():
-            if min(min(*one[:2], *one[SLIPS : SLIDING + 1]) for one in pieces) < 0.0:
+            if min(min(*one[:2], *one[kernels.SLIPS : kernels.SLIDING + 1]) for one in pieces) < 0.0:
                 return False
             if not all(a[BEGIN] <= b[BEGIN] for a, b in pairwise(pieces)):
                 return False
@@ -282,7 +267,7 @@ class Numbers:
             blocks = [*zip(self.rows[place.axis], (mass[:, :HIGH] for mass in masses), strict=True)]
             blocks = blocks[1:] if self.heavy else blocks
             blocks += enumerate(springs, int(behind[place.axis]))
-            blocks += enumerate(joint.places(moved)[:, np.newaxis, :WAVE], int(behind[-1]))
+            blocks += enumerate(joint.places(moved)[:, np.newaxis, : kernels.WAVE], int(behind[-1]))
             for row, block in blocks:
                 slopes = np.imag(block) / _IMAGINARY
                 found += [(row, int(band), int(k), c, float(slopes[band, k])) for band, k in np.argwhere(slopes)]
@@ -400,11 +385,6 @@ def law_places(numbers: Numbers) -> Iterator[tuple[Place, Parameter]]:
                     yield Place(i, p.name), p
         for spring in joint.springs:
             yield from ((Place(i, p.name), p) for p in spring.parameters[1:-1])
-
-
-def stribeck_share(below: float, speeds: FloatArray) -> FloatArray:
-    """Return the share of its rise that a friction has at speeds, by straight lines (`models.friction`)."""
-    return np.interp(np.abs(speeds) / below, *np.transpose(KNOTS)) if below > 0.0 else np.zeros_like(speeds)
 
 
 def robot_with(robot: Robot, numbers: Numbers) -> Robot:

@@ -19,29 +19,8 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.kernels.tables import (
-    COULOMB,
-    CUBIC,
-    DAMPING,
-    FINISHED,
-    FREE,
-    INERTIA,
-    NO_PATH,
-    PART,
-    SLIDING,
-    SLIPS,
-    STATE,
-    STIFFNESS,
-    VISCOUS,
-    VISCOUS_BACK,
-    WINDING,
-    IntArray,
-    Path,
-    Plant,
-    SampledLoop,
-    passing,
-    tape_width,
-)
+from jointid.simulation import kernels
+from jointid.simulation.kernels import FREE, NO_PATH, PART, STATE, IntArray, Path, Plant, SampledLoop
 from jointid.simulation.loop_input import LoopInput
 from jointid.simulation.plant import Numbers
 from jointid.simulation.start import Initial, Start, begin
@@ -70,10 +49,6 @@ class Outcome(StrEnum):
         "nothing, a Stribeck speed is 0, the torques of a spring's pieces do not rise, something winds up over less "
         "than nothing, a share of the torque or of the load is 1 or more, or a value is not a number"
     )
-
-
-OUTCOMES = tuple(Outcome)
-"""How a run ended, by the number that a kernel returns."""
 
 
 def require_success(run: Simulation, of_what: str = "The simulation") -> Simulation:
@@ -204,18 +179,18 @@ def run_loop(
         nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), NO_PATH, counts
         return Run(experiment, numbers, plant, nowhere, outcome, *nothing)
     far = np.array([each.far for each in experiment.axes]) + np.abs(start.places[numbers.motors])
-    status, command, excess, tape, path, counts = integrate(
+    outcome, command, excess, tape, path, counts = integrate(
         plant, experiment.tree, carried.inertials, experiment.sampled, start.before, far, start.states, start.places,
         start.speeds, start.wound, keep=keep, straight=numbers.straight, steps=taken, room=room,
     )  # fmt: skip
-    return Run(experiment, numbers, plant, start, OUTCOMES[status], command, excess, tape, path, counts)
+    return Run(experiment, numbers, plant, start, outcome, command, excess, tape, path, counts)
 
 
 def integrate(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
     z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, straight: bool = False,
     steps: int = 0, room: Room | None = None,
-) -> tuple[int, FloatArray, FloatArray, FloatArray, Path, IntArray]:  # fmt: skip
+) -> tuple[Outcome, FloatArray, FloatArray, FloatArray, Path, IntArray]:  # fmt: skip
     """Run `kernels.engine`, and keep its tape on demand, in the memory of a room.
 
     Returns how it ended, then command, excess, tape, path and counts as `Run` has them.
@@ -235,7 +210,7 @@ def integrate(
     rows = (clock // 8 if straight else _MORE * clock * parts * max(steps, 1)) + _TAPED if keep else 0
     rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
     while True:
-        tape = array("tape", (rows, tape_width(len(plant.masses), len(plant.pairs))))
+        tape = array("tape", (rows, STATE + 7 * len(plant.masses) + 3 * len(plant.pairs)))
         counts = np.zeros(4, np.int64)
         status = engine.run(
             plant, tree, inertials, loop, before, far, z.copy(), place, speed, wound, rate, reach, command, excess,
@@ -248,17 +223,22 @@ def integrate(
     command[:, done:] = command[:, done - 1 : done] if done else 0.0
     for j, every in enumerate(loop.every):
         excess[j, -(-done // int(every)) :] = 0.0
-    for signal in (command, excess, path.states[: done * parts]) if status != FINISHED else ():  # they may overflow
+    unfinished = status != kernels.FINISHED  # then they may overflow
+    for signal in (command, excess, path.states[: done * parts]) if unfinished else ():
         np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-    return int(status), command, excess, tape[: counts[1]], path, counts
+    return tuple(Outcome)[status], command, excess, tape[: counts[1]], path, counts
 
 
 def pass_on(torques: FloatArray, step: float) -> SampledLoop:
-    """Return torques, (joints, 1, parts), that each act in one part of `step` seconds, as the kernels take them."""
-    joints, _, parts = torques.shape
-    lags, every = np.zeros((joints, 1), dtype=np.int64), np.ones(joints, dtype=np.int64)
-    given = np.ascontiguousarray(torques)
-    return SampledLoop(np.array([step]), lags, every, passing(joints), given, np.zeros((joints, parts)))
+    """Return torques, (joints, parts), that each act in one part of `step` seconds, as laws that pass them on."""
+    joints, parts = torques.shape
+    none, zero = np.zeros((joints, 1, 0)), np.zeros((joints, 1, 1))
+    lags, first = np.zeros((joints, 1), dtype=np.int64), np.zeros(joints, dtype=np.int64)
+    return SampledLoop(
+        np.array([step]), lags, first + 1, np.zeros((joints, 1, 0, 0)), none, none[..., np.newaxis],
+        none[:, np.newaxis], zero, zero[..., np.newaxis], zero[:, 0] + np.inf, lags - 1, none[:, :0], first,
+        np.ascontiguousarray(torques)[:, np.newaxis], np.zeros((joints, parts)),
+    )  # fmt: skip
 
 
 def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -399,18 +379,18 @@ def choose_steps(tree: Tree, references: FloatArray, length: float, plant: Plant
     still, room, links = np.zeros(n), np.empty((n, ROOM)), np.empty((n, n))
     whole = plant.masses[:, -1]
     # What winds up is a spring, twice as stiff behind a reversal as where it is not wound up.
-    springs = np.diag(2.0 * whole[:, COULOMB] * whole[:, WINDING])
-    dampers = np.diag(np.max(np.abs(plant.masses[..., VISCOUS : VISCOUS_BACK + 1]), axis=(1, 2)))
+    springs = np.diag(2.0 * whole[:, kernels.COULOMB] * whole[:, kernels.WINDING])
+    dampers = np.diag(np.max(np.abs(plant.masses[..., kernels.VISCOUS : kernels.VISCOUS_BACK + 1]), axis=(1, 2)))
     for pair, pieces in zip(plant.pairs.astype(int), plant.springs, strict=True):
         both = np.zeros(size)
         both[pair] = 1.0, -1.0
         # A cubic spring is four times as stiff where the cube carries as much as the line.
         stiffest = np.max(pieces, axis=0)
-        stiffness = stiffest[STIFFNESS] * (4.0 if stiffest[CUBIC] > 0.0 else 1.0)
-        springs += (stiffness + 2.0 * stiffest[SLIPS] * stiffest[SLIDING]) * np.outer(both, both)
-        dampers += stiffest[DAMPING] * np.outer(both, both)
+        stiffness = stiffest[kernels.STIFFNESS] * (4.0 if stiffest[kernels.CUBIC] > 0.0 else 1.0)
+        springs += (stiffness + 2.0 * stiffest[kernels.SLIPS] * stiffest[kernels.SLIDING]) * np.outer(both, both)
+        dampers += stiffest[kernels.DAMPING] * np.outer(both, both)
     for pose in references[:: max(len(references) // _POSES, 1)]:
-        M = np.diag(plant.masses[:, 0, INERTIA])
+        M = np.diag(plant.masses[:, 0, kernels.INERTIA])
         equations_of_motion(tree, inertials, pose, still, still, room, links, np.empty(n))
         M[:n, :n] += links
         lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.controllers import POSITION, REFERENCE
+from jointid.models.controllers import REFERENCE
 from jointid.models.robots.robot import Tree
 from jointid.simulation.loop_input import AxisInput, LoopInput
 from jointid.simulation.plant import Numbers, Place
@@ -27,7 +27,6 @@ _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not w
 _SETTLING = 200  # of the steps that find where the links hang
 _AT_REST = 1e-13  # of a position
 _LEAST = 0.5  # of a slope by which Newton's method goes: links that gravity pushes over hang nowhere
-_NUDGE = 1e-3  # rad: a controller's stiffness is the slope over it
 _SMALL = 1e-5  # of a number, a position or a speed: differences of what balances at the first sample
 
 
@@ -78,7 +77,7 @@ def begin(experiment: LoopInput, numbers: Numbers, initial: Initial | None = Non
         sliding = wound_up(experiment.axis, velocity)
         places, _ = steady_joint(numbers, position, velocity, sliding).settle()
         speeds, wound = np.full(places.size, velocity), np.full(places.size, sliding)
-    states, before = np.zeros((len(numbers.joints), experiment.sampled.feedback.A.shape[-1])), np.zeros(len(torques))
+    states, before = np.zeros((len(numbers.joints), experiment.sampled.A.shape[-1])), np.zeros(len(torques))
     for j, (each, motor) in enumerate(zip(experiment.axes, numbers.motors, strict=True)):
         own, first = first_state(each, float(places[motor]), float(speeds[motor]), torques[j])
         states[j, : own.size], before[j] = own, first + each.after_limit[0]
@@ -88,9 +87,9 @@ def begin(experiment: LoopInput, numbers: Numbers, initial: Initial | None = Non
 def first_state(axis: AxisInput, position: float, velocity: float, torque: float | None) -> tuple[FloatArray, float]:
     """Feedback states at the first period, (states,), and the torque before it."""
     law, integral = axis.feedback, axis.integral
-    state = axis.state + axis.memory @ np.array([position, velocity])
-    first = float(axis.feedforward[law.output, 0] + law.C[0, law.output] @ state)
-    first += float(law.D[0, law.output, POSITION] * position)
+    motion = np.array([position, velocity])
+    state = axis.state + axis.memory @ motion
+    first = float(axis.feedforward[law.output, 0] + law.C[0, law.output] @ axis.state + axis.by_motion @ motion)
     if integral is not None and torque is not None:
         state = state + integral * (torque - first)
         first = torque
@@ -120,10 +119,9 @@ def start_slopes(
     if experiment.tree is None:
         torques[:] = [key.name == INITIAL[2] for key in keys]
     for j, (each, motor, torque) in enumerate(zip(experiment.axes, numbers.motors, start.torques, strict=True)):
-        law, by_motion, own = each.feedback, each.memory, dz[j, : len(each.memory)]
+        by_motion, own = each.memory, dz[j, : len(each.memory)]
         if each.integral is not None and torque is not None:
-            first = law.C[0, law.output] @ by_motion + np.array([law.D[0, law.output, POSITION], 0.0])
-            by_motion = by_motion - np.outer(each.integral, first)
+            by_motion = by_motion - np.outer(each.integral, each.by_motion)
             own += np.outer(each.integral, torques[j])
         own += by_motion @ np.array([dq[motor], dv[motor]])
     return dq, dv, dz
@@ -188,8 +186,9 @@ class Steady:
         by_key = np.zeros((2 * n + places.size, len(keys)))
         moves = not numbers.straight or numbers.joints[0].forces or np.any(self.speeds)  # else lines leave it there
         for c, key in enumerate(keys):
-            both = self._moved(key) if moves or key.name in INITIAL else None
-            if both is not None:
+            if key.name == INITIAL[0]:
+                by_key[:-n, c] = 1.0
+            elif both := self._moved(key) if moves or key.name == INITIAL[1] else None:
                 by_key[:, c] = (both[1].balance(at) - both[0].balance(at)) / both[2]
         if not np.any(by_key):
             return by_key[n:-n], by_key[-n:]
@@ -199,8 +198,6 @@ class Steady:
 
     def _moved(self, key: Place) -> tuple[Steady, Steady, float] | None:
         """Return what is in balance with less and more of a number, and the difference; None if nothing moves."""
-        if key.name == INITIAL[0]:
-            return replace(self, free=self.free - 0.5), replace(self, free=self.free + 0.5), 1.0
         if key.name == INITIAL[1]:  # at rest the drag of steady motion jumps
             low, high = (replace(self, speeds=self.speeds * factor) for factor in (1.0 - _SMALL, 1.0 + _SMALL))
             return (low, high, float(2.0 * _SMALL * self.speeds[key.axis])) if self.speeds[key.axis] else None
@@ -269,14 +266,10 @@ def _steady(experiment: LoopInput, numbers: Numbers) -> Steady:
     stretched by the load.
     """
     references = np.array([each.inputs[0, REFERENCE] for each in experiment.axes])
-    torques = np.array(
-        [
-            [first_state(each, at, speed, None)[1] for at in (place, place + _NUDGE)]
-            for each, place, speed in zip(experiment.axes, references, experiment.speeds, strict=True)
-        ]
-    )
-    slope = (torques[:, 1] - torques[:, 0]) / _NUDGE
-    held = np.array([each.integral is not None for each in experiment.axes])
-    soft = np.where(held | (slope >= 0.0), -np.inf, slope)
-    pushed = torques[:, 0] + experiment.sampled.post[:, 0]
+    torques, soft = np.zeros((2, references.size))
+    for j, (each, place, speed) in enumerate(zip(experiment.axes, references, experiment.speeds, strict=True)):
+        torques[j], slope = first_state(each, float(place), float(speed), None)[1], float(each.by_motion[0])
+        gives = each.integral is None and slope < 0.0 and abs(torques[j]) < each.feedback.limit
+        soft[j] = slope if gives else -math.inf
+    pushed = torques + experiment.sampled.post[:, 0]
     return Steady(numbers, references, experiment.speeds, experiment.accelerations, experiment.tree, pushed, soft)

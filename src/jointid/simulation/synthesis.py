@@ -14,9 +14,10 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
+from jointid.simulation.derivatives import columns_of
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.plant import Numbers
-from jointid.simulation.simulate import Simulation, require_success, run_loop
+from jointid.simulation.simulate import MassMotion, Simulation, require_success, run_loop
 from jointid.simulation.start import Initial
 
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
@@ -110,23 +111,21 @@ def simulated_record(
         else Injection(channel(injected, force, Timing.HELD), InjectionPoint(at), in_torque),
         name=name,
     )
-    experiment = prepare(loop, driven)
-    if disturbance is not None and np.size(disturbance) != np.size(reference):
-        raise MethodError(
-            f"A disturbance has a value for each sample of the reference, {np.size(reference)}; received "
-            f"{np.size(disturbance)}: give as many."
-        )
-    if disturbance is None:
-        found = require_success(simulate(loop, experiment, values, initial))
-    else:
-        axis = experiment.axis
+    experiment = forced = prepare(loop, driven)
+    axis = experiment.axis
+    if disturbance is not None:
+        if np.size(disturbance) != np.size(reference):
+            raise MethodError(
+                f"A disturbance has a value for each sample of the reference, {np.size(reference)}; received "
+                f"{np.size(disturbance)}: give as many."
+            )
         extra = np.repeat(np.asarray(disturbance, dtype=np.float64), axis.clock.skips)
         extra = extra[:: axis.clock.shows][: axis.periods]
-        forced = replace(axis, after_limit=axis.after_limit + extra)
-        found = require_success(simulate(loop, experiment.alone(forced), values, initial))
-        # A force from outside is in no current of the motor, though it acts as an injected signal does.
-        found = replace(found, torque=found.torque - to_log(axis, forced.shown - axis.shown))
-    torque = found.torque if torque_noise is None else found.torque + np.asarray(torque_noise, dtype=np.float64)
+        forced = experiment.alone(replace(axis, after_limit=axis.after_limit + extra))
+    found = require_success(simulate(loop, forced, values, initial))
+    # A force from outside is in no current of the motor, though it acts as an injected signal does.
+    torque = found.torque - to_log(axis, forced.axis.shown - axis.shown)
+    torque = torque if torque_noise is None else torque + np.asarray(torque_noise, dtype=np.float64)
     moved, load = (
         position if position is None or not encoder_step else np.round(position / encoder_step) * encoder_step
         for position in (found.motor_position, found.load_position)
@@ -148,27 +147,21 @@ def add_feed_forward(
     Raises:
         MethodError: a record has no reference, or references differ in rate or length.
     """
-    from jointid.models.robots.dynamics import inverse_dynamics
-
-    robot, moves = loop.robot, float(kind == "inverse-model")
+    robot, moves = loop.robot.rigid.linear, float(kind == "inverse-model")
     given = [record.reference for record in records if record.reference is not None]
     if len(given) < len(records) or len({(channel.sample_time, len(channel)) for channel in given}) != 1:
         raise MethodError("A feed-forward is computed from references of one rate and one length; give one per joint.")
     sample_time = given[0].sample_time
     q = np.column_stack([channel.values for channel in given])
     v = moves * np.gradient(q, sample_time, axis=0)
-    a = moves * np.gradient(v, sample_time, axis=0)
-    joints = np.linalg.inv(robot.coupling)  # the references are those of the shafts
-    motion = (np.ascontiguousarray(x @ joints.T) for x in (q, v, a))
-    torques = inverse_dynamics(robot.tree, robot.inertials, *motion) @ joints
+    motion = MassMotion(q, v, moves * np.gradient(v, sample_time, axis=0), np.sign(v))
+    numbers = Numbers.of(robot)
+    keys = [place for place in numbers.not_zero() if place.own != "coulomb"]
     made = []
-    for j, (record, joint) in enumerate(zip(records, robot.rigid.joints, strict=True)):
-        values = joint.values
-        forwards, backwards, held, held_back = joint.law.directions(values)
-        viscous = np.where(v[:, j] < 0.0, backwards, forwards)
-        own = values["inertia"] * a[:, j] + viscous * v[:, j] + values["offset"] + 0.5 * (held - held_back)
-        torque = Channel(torques[:, j] + own, robot.torque_unit(j), sample_time, Timing.HELD, "computed")
-        made.append(replace(record, injected=Injection(torque, InjectionPoint.BEFORE_LIMIT)))
+    for j, (own, columns) in enumerate(columns_of(robot.tree, numbers, keys, motion, range(len(records)))):
+        values = columns @ [numbers[keys[c]] for c in own]
+        torque = Channel(values, robot.torque_unit(j), sample_time, Timing.HELD, "computed")
+        made.append(replace(records[j], injected=Injection(torque, InjectionPoint.BEFORE_LIMIT)))
     return tuple(made)
 
 

@@ -17,7 +17,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
-from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, names_of
 from jointid.simulation.simulate import run_loop
 
@@ -35,7 +35,9 @@ def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     # With an offset it would leave the range of its reference, and there would be no derivatives.
     values = dict.fromkeys(names_of(joint), 1.0) | {"offset": 0.0}
-    _run(prepare(loop, _AT_REST), Numbers.of_joint(joint, values), derivatives=derivatives)
+    run = run_loop(prepare(loop, _AT_REST), Numbers.of_joint(joint, values), keep=True)
+    if derivatives:
+        differentiate(run, run.numbers.not_zero())
 
 
 def compile_robot() -> None:
@@ -47,14 +49,9 @@ def compile_robot() -> None:
     joints = RobotJoint("one", 0.1), RobotJoint("two", 0.1, spring=JointSpring(1e3, 1.0))
     robot = Robot(tuple(Link(f"link{i}", i - 1, inertial=body) for i in range(2)), joints)
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
-    _run(prepare(loop, (_AT_REST,) * 2), Numbers.of(robot))
+    run = run_loop(prepare(loop, (_AT_REST,) * 2), Numbers.of(robot), keep=True)
+    differentiate(run, run.numbers.not_zero())
     inverse_columns(robot, *np.zeros((3, 2, 2)))
-
-
-def _run(experiment: LoopInput, numbers: Numbers, *, derivatives: bool = True) -> None:
-    run = run_loop(experiment, numbers, keep=True)
-    if derivatives:
-        differentiate(run, numbers.not_zero())
 
 
 def main() -> None:

@@ -152,7 +152,7 @@ class ClosedLoopProblem(Simulated):
             RecordError, MethodError: the record, or the law, cannot be at that period.
         """
         loop, experiment = replace(self.loop, controller=controller), self.log.experiment
-        driven = experiment.alone(self.axis.under(controller)) if record is None else prepare(loop, record)
+        driven = experiment.under(controller) if record is None else prepare(loop, record)
         return replace(self.with_log(experiment=driven), system=loop)
 
     # Its answers

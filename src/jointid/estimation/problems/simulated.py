@@ -38,7 +38,7 @@ from jointid.estimation.problems.inverse_model import (
     require_one_log,
     require_torques,
 )
-from jointid.models.controllers import number
+from jointid.models.controllers import number, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.models.robots.base_parameters import symbol_of
 from jointid.models.robots.robot import Robot, RobotLoop, Tree
@@ -63,7 +63,7 @@ from jointid.simulation.drive_side import (
     prescribe,
     run_drive_side,
 )
-from jointid.simulation.loop_input import AxisInput, LoopInput, change_controller, prepare
+from jointid.simulation.loop_input import AxisInput, LoopInput, prepare
 from jointid.simulation.plant import LOAD_STATE, Bools, Numbers, Place, names_of
 from jointid.simulation.simulate import COARSE, FINE, Outcome, Run, motion_at, run_loop
 from jointid.simulation.start import INITIAL, Initial
@@ -220,7 +220,7 @@ class LoopLog:
 @lru_cache(maxsize=2)
 def _change_law(experiment: LoopInput, numbers: tuple[tuple[str, float], ...]) -> LoopInput:
     """Return an input with other numbers of its controller, the same for many runs of a candidate."""
-    return change_controller(experiment, dict(numbers))
+    return experiment.under(with_numbers(experiment.axis.controller, dict(numbers)))
 
 
 def _show(torques: FloatArray, values: Mapping[str, float], sample_time: float, order: int = 0) -> FloatArray:
@@ -327,7 +327,7 @@ class MotionLog:
         found = np.concatenate(in_threads(of_joint, range(len(parts))))
         moving = [c for c, key in enumerate(keys) if moves_links(key, run.numbers)]
         if moving:
-            found[:, moving] += _in_blocks(moved_by, [keys[c] for c in moving])
+            found[:, moving] = _in_blocks(moved_by, [keys[c] for c in moving])
         if _LATE in keys:
             late = self._show(run, run.torque, 1) / self.sample_time
             found[:, list(keys).index(_LATE)] = decimate_each(self, list(late.T))

@@ -1,4 +1,4 @@
-"""The affine maps of a joint whose laws are straight lines, and how far it glides by them, compiled.
+"""The affine maps of a joint whose laws are straight lines, how far it glides by them, and the derivatives, compiled.
 
 While no mass stops or comes loose such a joint is linear, and its torque is held over a part of a period. A part is
 then one affine map, exact to rounding; each sliding, sticking and direction mode of the two masses has its own. A map
@@ -13,27 +13,29 @@ operation as dear as thirty others.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels.control import SmallLaw, control_any
-from jointid.simulation.kernels.tables import (
+from jointid.simulation.kernels import (
     COULOMB,
     COULOMB_BACK,
     DAMPING,
     FREE,
     INERTIA,
+    LANES,
+    MASS,
     OFFSET,
+    SPRING,
     STIFFNESS,
     VISCOUS,
-    VISCOUS_BACK,
     IntArray,
     SampledLoop,
 )
+from jointid.simulation.kernels.control import SmallLaw, control_any
 
 State: TypeAlias = tuple[float, float, float, float]
 
@@ -42,40 +44,25 @@ MODES = 9
 _ORDER = 10  # of the series of the motion
 _STRIDE = 0.25  # rad of the fastest motion in a series: its remainder is at most 30 times the rounding error
 _HELD = 1e-300  # what a cone without width holds: nothing that is pushed
+_STEP = 1e-30j  # of numbers whose derivatives are taken: its square is nothing beside any rate
+WIDE = 4 * LANES  # derivatives of a state
 
-
-class Drive(NamedTuple):
-    """The numbers of a joint, friction and constant force of motor and load."""
-
-    inertia1: float
-    inertia2: float
-    stiffness: float
-    damping: float
-    viscous1: float
-    viscous1_back: float
-    coulomb1: float
-    coulomb1_back: float
-    offset1: float
-    viscous2: float
-    viscous2_back: float
-    coulomb2: float
-    coulomb2_back: float
-    offset2: float
+# Rows of the scratch, LANES long: derivatives of motor position, motor velocity, load position and load velocity; what
+# parameters change in the map of these; derivatives of two states of the law, and of the torque; then what parameters
+# change in the law's output.
+_S, _T, _Z, _D, _EXPLICIT, SCRATCH = (LANES * row for row in (0, 4, 8, 10, 11, 12))
 
 
 @inline_kernel
-def drive_of(mass: FloatArray, spring: FloatArray) -> Drive:
-    """Return the joint of masses and springs in their first bands and pieces."""
-    inertia2, stiffness, damping = 1.0, 0.0, 0.0
-    viscous2, viscous2_back, coulomb2, coulomb2_back, offset2 = 0.0, 0.0, 0.0, 0.0, 0.0
-    if mass.shape[0] > 1:
-        inertia2, stiffness, damping = mass[1, INERTIA], spring[0, STIFFNESS], spring[0, DAMPING]
-        viscous2, viscous2_back, offset2 = mass[1, VISCOUS], mass[1, VISCOUS_BACK], mass[1, OFFSET]
-        coulomb2, coulomb2_back = mass[1, COULOMB], mass[1, COULOMB_BACK]
-    return Drive(
-        mass[0, INERTIA], inertia2, stiffness, damping, mass[0, VISCOUS], mass[0, VISCOUS_BACK], mass[0, COULOMB],
-        mass[0, COULOMB_BACK], mass[0, OFFSET], viscous2, viscous2_back, coulomb2, coulomb2_back, offset2,
-    )  # fmt: skip
+def two_masses(mass: FloatArray, spring: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the numbers of the first two masses and their spring; a rigid joint has a load that nothing pushes."""
+    masses, springs = np.zeros((2, MASS + 1)), np.zeros((1, SPRING))
+    masses[1, INERTIA] = 1.0
+    for i in range(min(mass.shape[0], 2)):
+        assign(masses[i], mass[i])
+    for i in range(min(spring.shape[0], 1)):
+        assign(springs[i], spring[i])
+    return masses, springs
 
 
 @inline_kernel
@@ -93,18 +80,22 @@ def write_state(x: State, q: FloatArray, v: FloatArray) -> None:
 
 
 @inline_kernel
-def fill_rates(p: Drive, m1: int, m2: int, share1: float, share2: float, torque: float, rates: FloatArray) -> None:
+def fill_rates(
+    mass: FloatArray, spring: FloatArray, m1: int, m2: int, share1: float, share2: float, torque: float,
+    rates: FloatArray,
+) -> None:  # fmt: skip
     """Write the accelerations of motor and load by each input, (2, INPUTS).
 
     They are linear in the joint's numbers but for the inertias: shares are one over these, and 0 of a mass at rest. The
     torque is 1; or 0 where the numbers are derivatives.
     """
-    viscous1, force1 = (p.viscous1, -p.coulomb1) if m1 > 0 else (p.viscous1_back, p.coulomb1_back)
-    viscous2, force2 = (p.viscous2, -p.coulomb2) if m2 > 0 else (p.viscous2_back, p.coulomb2_back)
-    rates[0, 0], rates[0, 1], rates[0, 2] = -(viscous1 + p.damping) * share1, p.stiffness * share1, p.damping * share1
-    rates[0, 3], rates[0, 4] = torque * share1, (force1 - p.offset1) * share1
-    rates[1, 0], rates[1, 1], rates[1, 2] = p.damping * share2, -p.stiffness * share2, -(viscous2 + p.damping) * share2
-    rates[1, 3], rates[1, 4] = 0.0, (force2 - p.offset2) * share2
+    stiffness, damping, back1, back2 = spring[0, STIFFNESS], spring[0, DAMPING], int(m1 <= 0), int(m2 <= 0)
+    viscous1, force1 = mass[0, VISCOUS + back1], (2 * back1 - 1) * mass[0, COULOMB + back1]
+    viscous2, force2 = mass[1, VISCOUS + back2], (2 * back2 - 1) * mass[1, COULOMB + back2]
+    rates[0, 0], rates[0, 1], rates[0, 2] = -(viscous1 + damping) * share1, stiffness * share1, damping * share1
+    rates[0, 3], rates[0, 4] = torque * share1, (force1 - mass[0, OFFSET]) * share1
+    rates[1, 0], rates[1, 1], rates[1, 2] = damping * share2, -stiffness * share2, -(viscous2 + damping) * share2
+    rates[1, 3], rates[1, 4] = 0.0, (force2 - mass[1, OFFSET]) * share2
 
 
 @inline_kernel
@@ -124,7 +115,7 @@ def flow(rates: FloatArray, h: float, x: State, s: float, steady: float) -> Stat
 
 
 @inline_kernel
-def _fill_bends(p: Drive, m1: int, m2: int, h: float, bends: FloatArray) -> None:
+def _fill_bends(mass: FloatArray, spring: FloatArray, m1: int, m2: int, h: float, bends: FloatArray) -> None:
     """Write how far what must stay positive can bend from its chord in a part, per root energy; and its growth.
 
     While the torque is held, the energy of the rates of change, E = M1 a1^2 + M2 a2^2 + K (v2 - v1)^2, can only
@@ -132,14 +123,20 @@ def _fill_bends(p: Drive, m1: int, m2: int, h: float, bends: FloatArray) -> None
     second derivative over the part by its value at the start; a function stays within h^2/8 max|f''| of its chord.
     The root energy is sqrt(M1 E), so that a change of the torque changes it by no more than itself.
     """
-    root1, root2 = math.sqrt(p.inertia1), math.sqrt(p.inertia2)
-    viscous1, viscous2 = p.viscous1 if m1 > 0 else p.viscous1_back, p.viscous2 if m2 > 0 else p.viscous2_back
-    shared = math.sqrt(p.stiffness) + p.damping * (1.0 / root1 + 1.0 / root2)
-    bend1 = (abs(viscous1) / root1 + shared) / p.inertia1  # of the motor's velocity
-    bend2 = (abs(viscous2) / root2 + shared) / p.inertia2  # of the load's velocity
-    push1 = p.stiffness / root2 + p.damping * bend2  # of the push on a motor at rest
-    push2 = p.stiffness / root1 + p.damping * bend1  # of the push on a load at rest
-    growth = math.exp(min(-min(viscous1 / p.inertia1, viscous2 / p.inertia2, 0.0) * h, 50.0))
+    inertia1, inertia2, stiffness, damping = (
+        mass[0, INERTIA],
+        mass[1, INERTIA],
+        spring[0, STIFFNESS],
+        spring[0, DAMPING],
+    )
+    root1, root2 = math.sqrt(inertia1), math.sqrt(inertia2)
+    viscous1, viscous2 = mass[0, VISCOUS + int(m1 <= 0)], mass[1, VISCOUS + int(m2 <= 0)]
+    shared = math.sqrt(stiffness) + damping * (1.0 / root1 + 1.0 / root2)
+    bend1 = (abs(viscous1) / root1 + shared) / inertia1  # of the motor's velocity
+    bend2 = (abs(viscous2) / root2 + shared) / inertia2  # of the load's velocity
+    push1 = stiffness / root2 + damping * bend2  # of the push on a motor at rest
+    push2 = stiffness / root1 + damping * bend1  # of the push on a load at rest
+    growth = math.exp(min(-min(viscous1 / inertia1, viscous2 / inertia2, 0.0) * h, 50.0))
     bend = h * h / 8.0 / root1 * growth if m1 != 0 or m2 != 0 else 0.0  # where nothing moves, nothing bends
     bends[0], bends[1] = bend * (bend1 if m1 != 0 else push1), bend * (bend2 if m2 != 0 else push2)
     bends[2] = growth
@@ -160,18 +157,20 @@ def unit_move(rates: FloatArray, m1: int, m2: int, i: int, h: float) -> State:
 
 @compile_kernel
 def fill_mode(
-    p: Drive, mode: int, lengths: FloatArray, rates: FloatArray, moves: FloatArray, bends: FloatArray
-) -> None:
+    mass: FloatArray, spring: FloatArray, mode: int, lengths: FloatArray, rates: FloatArray, moves: FloatArray,
+    bends: FloatArray,
+) -> None:  # fmt: skip
     """Fill what `glide` and `ride` read of a mode.
 
     These are `rates`, (MODES, 2, INPUTS), accelerations of motor and load by each input; `moves`, (parts * MODES,
     INPUTS, 4), see `unit_move`; and `bends`, (parts * MODES, 3).
     """
     m1, m2 = mode // 3 - 1, mode % 3 - 1
-    fill_rates(p, m1, m2, abs(m1) / p.inertia1, abs(m2) / p.inertia2, 1.0, rates[mode])
+    share1, share2 = abs(m1) / mass[0, INERTIA], abs(m2) / mass[1, INERTIA]
+    fill_rates(mass, spring, m1, m2, share1, share2, 1.0, rates[mode])
     for part in range(lengths.size):
         b = part * MODES + mode
-        _fill_bends(p, m1, m2, lengths[part], bends[b])
+        _fill_bends(mass, spring, m1, m2, lengths[part], bends[b])
         for i in range(INPUTS):
             x = unit_move(rates[mode], m1, m2, i, lengths[part])
             moves[b, i, 0], moves[b, i, 1], moves[b, i, 2], moves[b, i, 3] = x
@@ -179,8 +178,8 @@ def fill_mode(
 
 @inline_kernel
 def enter_mode(
-    p: Drive, modes: FloatArray, v: FloatArray, loose: float, lengths: FloatArray, filled: NDArray[np.bool_],
-    rates: FloatArray, moves: FloatArray, bends: FloatArray,
+    mass: FloatArray, spring: FloatArray, modes: FloatArray, v: FloatArray, loose: float, lengths: FloatArray,
+    filled: NDArray[np.bool_], rates: FloatArray, moves: FloatArray, bends: FloatArray,
 ) -> int:  # fmt: skip
     """Return the number of the mode of two masses, and fill what is read of it when it is met.
 
@@ -194,27 +193,30 @@ def enter_mode(
     mode = int(3.0 * m1 + m2) + 4
     if not filled[mode]:
         filled[mode] = True
-        fill_mode(p, mode, lengths, rates, moves, bends)
+        fill_mode(mass, spring, mode, lengths, rates, moves, bends)
     return mode
 
 
 @inline_kernel
 def _rooms(
-    p: Drive, m1: int, m2: int, s: float, spring: float, end: float, room1: float, room2: float
+    mass: FloatArray, m1: int, m2: int, s: float, pull: float, end: float, room1: float, room2: float
 ) -> tuple[float, float]:
     """Return the rooms of masses in motion, which are given, and of those at rest in their cones, at both ends."""
-    least, most = min(spring, end), max(spring, end)
+    least, most = min(pull, end), max(pull, end)
     if m1 == 0:
-        room1 = _HELD + min(p.coulomb1 - (s - p.offset1 + most), p.coulomb1_back + (s - p.offset1 + least))
+        push = s - mass[0, OFFSET]
+        room1 = _HELD + min(mass[0, COULOMB] - (push + most), mass[0, COULOMB_BACK] + (push + least))
     if m2 == 0:
-        room2 = _HELD + min(p.coulomb2 + (p.offset2 + least), p.coulomb2_back - (p.offset2 + most))
+        push = mass[1, OFFSET]
+        room2 = _HELD + min(mass[1, COULOMB] + (push + least), mass[1, COULOMB_BACK] - (push + most))
     return room1, room2
 
 
 @inline_kernel
 def _cross(
-    p: Drive, r: FloatArray, m: FloatArray, bends: FloatArray, mode: int, part: int, x: State, s: float
-) -> tuple[bool, float, State]:
+    mass: FloatArray, spring: FloatArray, r: FloatArray, m: FloatArray, bends: FloatArray, mode: int, part: int,
+    x: State, s: float,
+) -> tuple[bool, float, State]:  # fmt: skip
     """Return whether nothing happens in a part under a held torque, the root energy as it begins, and its end.
 
     See `_fill_bends`. False means "not proved".
@@ -228,17 +230,18 @@ def _cross(
     y1 = (m[b, 0, 1] * v1 + m[b, 2, 1] * v2) + ((m[b, 4, 1] + m[b, 1, 1] * stretch) + m[b, 3, 1] * s)
     y2 = (x2 + (m[b, 0, 2] * v1 + m[b, 2, 2] * v2)) + ((m[b, 4, 2] + m[b, 1, 2] * stretch) + m[b, 3, 2] * s)
     y3 = (m[b, 0, 3] * v1 + m[b, 2, 3] * v2) + ((m[b, 4, 3] + m[b, 1, 3] * stretch) + m[b, 3, 3] * s)
-    spring, end = p.stiffness * stretch + p.damping * apart, p.stiffness * (y2 - y0) + p.damping * (y3 - y1)
-    root = math.sqrt(p.inertia1 * (p.inertia1 * a1 * a1 + p.inertia2 * a2 * a2 + p.stiffness * apart * apart))
-    room1, room2 = _rooms(p, m1, m2, s, spring, end, min(m1 * v1, m1 * y1), min(m2 * v2, m2 * y3))
+    inertia, stiffness, damping = mass[0, INERTIA], spring[0, STIFFNESS], spring[0, DAMPING]
+    pull, end = stiffness * stretch + damping * apart, stiffness * (y2 - y0) + damping * (y3 - y1)
+    root = math.sqrt(inertia * (inertia * a1 * a1 + mass[1, INERTIA] * a2 * a2 + stiffness * apart * apart))
+    room1, room2 = _rooms(mass, m1, m2, s, pull, end, min(m1 * v1, m1 * y1), min(m2 * v2, m2 * y3))
     return room1 > bends[b, 0] * root and room2 > bends[b, 1] * root, root, (y0, y1, y2, y3)
 
 
 @inline_kernel
 def _follow_chords(
-    p: Drive, law: SmallLaw, m: FloatArray, bends: FloatArray, mode: int, states: FloatArray, kept: NDArray[np.int16],
-    lag: int, before: float, w: FloatArray, post: FloatArray, u: FloatArray, excess: FloatArray, x: State,
-    z: tuple[float, float], bound: float, last: float, k: int,
+    mass: FloatArray, spring: FloatArray, law: SmallLaw, m: FloatArray, bends: FloatArray, mode: int,
+    states: FloatArray, kept: NDArray[np.int16], lag: int, before: float, w: FloatArray, post: FloatArray,
+    u: FloatArray, excess: FloatArray, x: State, z: tuple[float, float], bound: float, last: float, k: int,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while chords show that nothing happens.
 
@@ -258,7 +261,12 @@ def _follow_chords(
     f0, f1, f2, f3 = m[mode, 4, 0], m[mode, 4, 1], m[mode, 4, 2], m[mode, 4, 3]
     chord1, chord2 = bends[mode, 0], bends[mode, 1]
     bound = bound if bends[mode, 2] == 1.0 else np.inf  # what grows is bounded over one period alone
-    resting, keep = m1 == 0 or m2 == 0, states.shape[0] > 0
+    resting, keep, stiffness, damping = (
+        m1 == 0 or m2 == 0,
+        states.shape[0] > 0,
+        spring[0, STIFFNESS],
+        spring[0, DAMPING],
+    )
     # Velocities in the direction of their mode are positive while nothing happens.
     d1, d2 = -1.0 if m1 < 0 else 1.0, -1.0 if m2 < 0 else 1.0
     x1, p00, p20, p11, p31, g1, f1 = d1 * x1, d1 * p00, d1 * p20, d1 * p11, d2 * p31, d1 * g1, d1 * f1
@@ -294,9 +302,9 @@ def _follow_chords(
         last = s
         room1, room2 = min(x1, y1), min(x3, y3)
         if resting:
-            spring = p.stiffness * stretch + p.damping * (d2 * x3 - d1 * x1)
-            end = p.stiffness * (y2 - y0) + p.damping * (d2 * y3 - d1 * y1)
-            room1, room2 = _rooms(p, m1, m2, s, spring, end, room1, room2)
+            pull = stiffness * stretch + damping * (d2 * x3 - d1 * x1)
+            end = stiffness * (y2 - y0) + damping * (d2 * y3 - d1 * y1)
+            room1, room2 = _rooms(mass, m1, m2, s, pull, end, room1, room2)
         if not (room1 > chord1 * bound and room2 > chord2 * bound):
             break
         x0, x1, x2, x3 = y0, y1, y2, y3
@@ -307,56 +315,34 @@ def _follow_chords(
     return k, clipped, (x0, d1 * x1, x2, d2 * x3), (z0, z1)
 
 
-@inline_kernel
-def glide(
-    p: Drive, law: SmallLaw, rates: FloatArray, moves: FloatArray, bends: FloatArray, mode: int, states: FloatArray,
-    kept: NDArray[np.int16], lag: int, before: float, far: float, w: FloatArray, post: FloatArray, u: FloatArray,
-    excess: FloatArray, q: FloatArray, v: FloatArray, z: FloatArray, counts: IntArray, k: int,
-) -> int:  # fmt: skip
-    """Simulate from period `k` on by maps while nothing happens; return the period in which something may.
-
-    The controller has run in that period. For a torque that acts over whole periods, and a controller with at most two
-    states.
-    """
-    x, bound, s, nothing = read_state(q, v), np.inf, 0.0, True
-    memory = z[0, 0] if z.shape[1] > 0 else 0.0, z[0, 1] if z.shape[1] > 1 else 0.0
-    while nothing:
-        k, clipped, x, memory = _follow_chords(
-            p, law, moves, bends, mode, states, kept, lag, before, w, post, u, excess, x, memory, bound, s, k
-        )
-        counts[3] += clipped
-        if not (k < u.size and abs(x[0]) <= far and abs(u[k]) < np.inf):
-            break
-        s = u[k - lag] + post[k - lag] if k >= lag else before
-        nothing, bound, y = _cross(p, rates, moves, bends, mode, 0, x, s)
-        if states.shape[0] > 0:
-            kept[k] = mode
-        if nothing:
-            x, k = y, k + 1
-    write_state(x, q, v)
-    for i in range(z.shape[1]):
-        z[0, i] = memory[1] if i > 0 else memory[0]
-    return k
-
-
 @compile_kernel
 def ride(
-    p: Drive, loop: SampledLoop, before: float, far: float, rates: FloatArray, moves: FloatArray, bends: FloatArray,
-    mode: int, states: FloatArray, kept: NDArray[np.int16], q: FloatArray, v: FloatArray, z: FloatArray,
-    fresh: FloatArray, out: FloatArray, cut: FloatArray, u: FloatArray, excess: FloatArray, counts: IntArray, k: int,
-    part: int,
+    mass: FloatArray, spring: FloatArray, loop: SampledLoop, law: SmallLaw, small: bool, before: float, far: float,
+    rates: FloatArray, moves: FloatArray, bends: FloatArray, mode: int, states: FloatArray, kept: NDArray[np.int16],
+    q: FloatArray, v: FloatArray, z: FloatArray, fresh: FloatArray, out: FloatArray, cut: FloatArray, u: FloatArray,
+    excess: FloatArray, counts: IntArray, k: int, part: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Do the same as `glide` under any controller, and for a torque that acts in any part of a period."""
-    feedback, post, lags, output = loop.feedback, loop.post[0], loop.lags[0], loop.feedback.output[0]
-    x, keep, nothing = read_state(q, v), states.shape[0] > 0, True
+    """Simulate on by maps while nothing happens; return the period, and its part, in which something may.
+
+    The controller has run in that period. A small law, of which the torque acts over whole periods, goes along chords.
+    """
+    post, lags, output = loop.post[0], loop.lags[0], loop.output[0]
+    x, bound, s, nothing, keep = read_state(q, v), np.inf, 0.0, True, states.shape[0] > 0
+    memory = z[0, 0] if z.shape[1] > 0 else 0.0, z[0, 1] if z.shape[1] > 1 else 0.0
     while nothing and k < u.size:
-        if part == 0:
-            control_any(feedback, 0, loop.w, k, x[0], z, fresh, out, cut)
+        if small:
+            k, clipped, x, memory = _follow_chords(
+                mass, spring, law, moves, bends, mode, states, kept, lags[0], before, loop.w[0, 0], post, u, excess, x,
+                memory, bound, s, k,
+            )  # fmt: skip
+            counts[3] += clipped
+        elif part == 0:
+            control_any(loop, 0, k, x[0], z, fresh, out, cut)
             u[k] = out[output]
             if excess.shape[0] > 0:
                 assign(excess[k], cut)
             counts[3] += 1 if cut[output] != 0.0 else 0
-        if not (abs(x[0]) <= far and abs(u[k]) < np.inf):
+        if not (k < u.size and abs(x[0]) <= far and abs(u[k]) < np.inf):
             break
         while nothing and part < lags.size:
             at, source = k * lags.size + part, k - lags[part]
@@ -364,10 +350,144 @@ def ride(
             if keep:
                 kept[at] = mode
                 states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x
-            nothing, _, y = _cross(p, rates, moves, bends, mode, part, x, s)
+            nothing, bound, y = _cross(mass, spring, rates, moves, bends, mode, part, x, s)
             if nothing:
                 x, part = y, part + 1
         if nothing:
             k, part = k + 1, 0
     write_state(x, q, v)
+    for i in range(z.shape[1] if small else 0):
+        z[0, i] = memory[1] if i > 0 else memory[0]
     return k, part
+
+
+# The derivatives: a column moves by the map of its mode, and is pushed by what its parameter changes in that map. All
+# that the loop over the periods goes on from is one array, with rows of a constant length: only then the compiler knows
+# that nothing overlaps, and keeps to vector instructions.
+
+
+@compile_kernel
+def fill_tangent(
+    mass: FloatArray, dmass: FloatArray, dspring: FloatArray, mode: int, lengths: FloatArray, rates: FloatArray,
+    bent: NDArray[Any], slopes: FloatArray, moves: FloatArray, moved: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the maps of a mode, and their derivatives by a complex step.
+
+    Columns are of parameters, by which masses and springs have derivatives, (LANES, 2 or 1, numbers). Filled are
+    `moves`, as by `fill_mode`, and `moved`, (parts * MODES, INPUTS, 4, LANES); `bent` and `slopes`, (2, INPUTS), are
+    scratch.
+    """
+    m1, m2 = mode // 3 - 1, mode % 3 - 1
+    share1, share2 = abs(m1) / mass[0, INERTIA], abs(m2) / mass[1, INERTIA]
+    for c in range(LANES):
+        fill_rates(dmass[c], dspring[c], m1, m2, share1, share2, 0.0, slopes)
+        for i in range(INPUTS):
+            slope1 = slopes[0, i] - dmass[c, 0, INERTIA] * share1 * rates[mode, 0, i]
+            slope2 = slopes[1, i] - dmass[c, 1, INERTIA] * share2 * rates[mode, 1, i]
+            bent[0, i], bent[1, i] = rates[mode, 0, i] + _STEP * slope1, rates[mode, 1, i] + _STEP * slope2
+        for part in range(lengths.size):
+            for i in range(INPUTS):
+                x, b = unit_move(bent, m1, m2, i, lengths[part]), part * MODES + mode
+                for row in range(4):
+                    moves[b, i, row], moved[b, i, row, c] = x[row].real, x[row].imag / _STEP.imag
+
+
+@inline_kernel
+def _read(s: FloatArray, dq: FloatArray, dv: FloatArray) -> None:
+    """Read the derivatives of the state of one or two masses into the scratch."""
+    two = dq.shape[0] > 1
+    for c in range(LANES):
+        s[_S + c], s[_S + LANES + c] = dq[0, c], dv[0, c]
+        s[_S + 2 * LANES + c], s[_S + 3 * LANES + c] = dq[1, c] if two else dq[0, c], dv[1, c] if two else 0.0
+
+
+@inline_kernel
+def _write(s: FloatArray, dq: FloatArray, dv: FloatArray) -> None:
+    """Write them back."""
+    for i in range(dq.shape[0]):
+        for c in range(LANES):
+            dq[i, c], dv[i, c] = s[_S + 2 * i * LANES + c], s[_S + (2 * i + 1) * LANES + c]
+
+
+@inline_kernel
+def _push(s: FloatArray, moved: FloatArray, b: int, v1: float, stretch: float, v2: float, torque: float) -> None:
+    """Write what the parameters change in the map of a part, for the motion there is."""
+    m = np.uint64(b)  # Numba looks for negative indices among the signed
+    for i in range(WIDE):
+        change = (moved[m, 4 * WIDE + i] + moved[m, i] * v1) + moved[m, WIDE + i] * stretch
+        s[_T + i] = (change + moved[m, 2 * WIDE + i] * v2) + moved[m, 3 * WIDE + i] * torque
+
+
+@inline_kernel
+def _step(s: FloatArray, m: FloatArray, moved: FloatArray, b: int, states: FloatArray, at: int, torque: float) -> None:
+    """Move the derivatives over a part in which nothing happened."""
+    _push(s, moved, b, states[at, 1], states[at, 2] - states[at, 0], states[at, 3], torque)
+    p00, p01, p02, p03 = m[b, 0, 0], m[b, 0, 1], m[b, 0, 2], m[b, 0, 3]
+    p10, p11, p12, p13 = m[b, 1, 0], m[b, 1, 1], m[b, 1, 2], m[b, 1, 3]
+    p20, p21, p22, p23 = m[b, 2, 0], m[b, 2, 1], m[b, 2, 2], m[b, 2, 3]
+    g0, g1, g2, g3 = m[b, 3, 0], m[b, 3, 1], m[b, 3, 2], m[b, 3, 3]
+    for j in range(LANES):
+        a0, a1, a2, a3 = s[_S + j], s[_S + LANES + j], s[_S + 2 * LANES + j], s[_S + 3 * LANES + j]
+        a, d = a2 - a0, s[_D + j]
+        s[_S + j] = ((((s[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
+        s[_S + LANES + j] = (((s[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
+        s[_S + 2 * LANES + j] = ((((s[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
+        s[_S + 3 * LANES + j] = (((s[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
+
+
+@inline_kernel
+def cross_slopes(
+    s: FloatArray, m: FloatArray, moved: FloatArray, b: int, states: FloatArray, at: int, torque: float,
+    dtorque: FloatArray, dq: FloatArray, dv: FloatArray,
+) -> None:  # fmt: skip
+    """Move the derivatives over a part in which nothing happened, with those of the torque."""
+    _read(s, dq, dv)
+    for c in range(LANES):
+        s[_D + c] = dtorque[c]
+    _step(s, m, moved, b, states, at, torque)
+    _write(s, dq, dv)
+
+
+@inline_kernel
+def glide_slopes(
+    s: FloatArray, law: SmallLaw, m: FloatArray, moved: FloatArray, mode: int, k: int, end: int, lags: IntArray,
+    before: float, states: FloatArray, modes: NDArray[np.int16], u: FloatArray, post: FloatArray, explicit: FloatArray,
+    columns: IntArray, dq: FloatArray, dv: FloatArray, dz: FloatArray, du: FloatArray,
+) -> int:  # fmt: skip
+    """Do what `control_slopes` and `cross_slopes` do, at once, while the mode lasts and no limit cuts.
+
+    Return the next period. Nearly all periods are of this kind.
+    """
+    a00, a01, a10, a11, b0, b1, c0, c1, _, _, direct, limit = law
+    parts, lasts = lags.size, True
+    _read(s, dq, dv)
+    for i in range(dz.shape[0]):
+        for c in range(LANES):
+            s[_Z + i * LANES + c] = dz[i, c]
+    while k < end and abs(u[k]) < limit:
+        for part in range(parts):
+            lasts = lasts and modes[k * parts + part] == mode
+        if not lasts:
+            break
+        at = np.uint64(k)  # Numba looks for negative indices among the signed
+        for i in range(columns.size):
+            s[_EXPLICIT + columns[i]] = explicit[at, 0, i]
+        for j in range(LANES):
+            a0, z0, z1 = s[_S + j], s[_Z + j], s[_Z + LANES + j]
+            s[_D + j] = (direct * a0 + s[_EXPLICIT + j]) + (c0 * z0 + c1 * z1)
+            s[_Z + j] = b0 * a0 + (a00 * z0 + a01 * z1)
+            s[_Z + LANES + j] = b1 * a0 + (a10 * z0 + a11 * z1)
+        for j in range(LANES):
+            du[at, j] = s[_D + j]
+        for part in range(parts):
+            source = k - lags[part]
+            acts, torque = np.uint64(max(source, 0)), u[source] + post[source] if source >= 0 else before
+            for j in range(LANES if parts > 1 or source < k else 0):
+                s[_D + j] = du[acts, j]
+            _step(s, m, moved, part * MODES + mode, states, k * parts + part, torque)
+        k += 1
+    _write(s, dq, dv)
+    for i in range(dz.shape[0]):
+        for c in range(LANES):
+            dz[i, c] = s[_Z + i * LANES + c]
+    return k

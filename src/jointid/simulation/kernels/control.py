@@ -9,7 +9,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compile_kernel, inline_kernel
-from jointid.simulation.kernels.tables import Feedback
+from jointid.simulation.kernels import IntArray, SampledLoop
 
 SmallLaw: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
@@ -19,52 +19,51 @@ _LINE = 8  # numbers of a cache line
 
 
 @inline_kernel
-def small_law(feedback: Feedback, nz: int) -> SmallLaw:
-    """Return a feedback of one element, one phase and two states at most as numbers, which stay in registers.
+def small_law(loop: SampledLoop, nz: int) -> SmallLaw:
+    """Return a law of one element, one phase and two states at most as numbers, which stay in registers.
 
     In this order: A by rows, what the position adds to the states, C, what the limit adds, D, and the limit. Of less
     than two states it is filled up with zeros.
     """
     A, b, c, f = np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.zeros(2)
     for i in range(nz):
-        b[i], c[i], f[i] = feedback.Bq[0, 0, i], feedback.C[0, 0, 0, i], feedback.F[0, 0, i, 0]
+        b[i], c[i], f[i] = loop.Bq[0, 0, i], loop.C[0, 0, 0, i], loop.F[0, 0, i, 0]
         for j in range(nz):
-            A[i, j] = feedback.A[0, 0, i, j]
-    d, limit = feedback.D[0, 0, 0], feedback.limits[0, 0]
+            A[i, j] = loop.A[0, 0, i, j]
+    d, limit = loop.D[0, 0, 0], loop.limits[0, 0]
     return A[0, 0], A[0, 1], A[1, 0], A[1, 1], b[0], b[1], c[0], c[1], f[0], f[1], d, limit
 
 
 @inline_kernel
 def control_any(
-    feedback: Feedback, joint: int, w: FloatArray, k: int, q: float, z: FloatArray, new: FloatArray, out: FloatArray,
-    cut: FloatArray,
+    loop: SampledLoop, joint: int, k: int, q: float, z: FloatArray, new: FloatArray, out: FloatArray, cut: FloatArray
 ) -> None:  # fmt: skip
     """Evaluate a joint's law: write what its elements put out and what limits and gates took; move its states.
 
     At its limit an element puts out that limit to the last bit: the derivatives ask whether it is there.
     """
-    phase, nz = k % feedback.A.shape[1], z.shape[1]
+    phase, nz = k % loop.A.shape[1], z.shape[1]
     for i in range(cut.size):
-        value = w[joint, i, k] + feedback.D[joint, phase, i] * q
+        value = loop.w[joint, i, k] + loop.D[joint, phase, i] * q
         for j in range(nz):
-            value += feedback.C[joint, phase, i, j] * z[joint, j]
+            value += loop.C[joint, phase, i, j] * z[joint, j]
         for j in range(i):
-            value += feedback.E[joint, phase, i, j] * cut[j]
+            value += loop.E[joint, phase, i, j] * cut[j]
         out[i], cut[i] = value, 0.0
-        if feedback.gates[joint, i] >= 0:
-            if value * cut[feedback.gates[joint, i]] < 0.0:
+        if loop.gates[joint, i] >= 0:
+            if value * cut[loop.gates[joint, i]] < 0.0:
                 out[i], cut[i] = 0.0, -value
-        elif abs(value) > feedback.limits[joint, i]:
-            out[i] = math.copysign(feedback.limits[joint, i], value)
+        elif abs(value) > loop.limits[joint, i]:
+            out[i] = math.copysign(loop.limits[joint, i], value)
             cut[i] = out[i] - value
     for i in range(nz):
-        value = feedback.Bq[joint, phase, i] * q
-        if feedback.driven.shape[1] > 0:
-            value += feedback.driven[joint, k, i]
+        value = loop.Bq[joint, phase, i] * q
+        if loop.driven.shape[1] > 0:
+            value += loop.driven[joint, k, i]
         for j in range(nz):
-            value += feedback.A[joint, phase, i, j] * z[joint, j]
+            value += loop.A[joint, phase, i, j] * z[joint, j]
         for j in range(cut.size):
-            value += feedback.F[joint, phase, i, j] * cut[j]
+            value += loop.F[joint, phase, i, j] * cut[j]
         new[i] = value
     for i in range(nz):
         z[joint, i] = new[i]
@@ -79,8 +78,8 @@ def _add(weight: float, rows: FloatArray, row: int, to: FloatArray, at: int) -> 
 
 @compile_kernel
 def control_slopes(
-    laws: Feedback, axis: int, own: int, step: int, excess: FloatArray, motor: int, dq: FloatArray, dzs: FloatArray,
-    fresh: FloatArray, raw: FloatArray, taken: FloatArray, explicit: FloatArray, first: int, dlimits: FloatArray,
+    loop: SampledLoop, axis: int, own: int, step: int, excess: FloatArray, motor: int, dq: FloatArray, dzs: FloatArray,
+    fresh: FloatArray, raw: FloatArray, taken: FloatArray, explicit: FloatArray, columns: IntArray, dlimits: FloatArray,
     command: FloatArray,
 ) -> None:  # fmt: skip
     """Write the derivatives of the output of any law in a period of its own, and move those of its states, `dzs`.
@@ -88,30 +87,30 @@ def control_slopes(
     Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes. `dq` are those of
     the masses' positions, `excess` is what limits and gates take away; `fresh`, `raw` and `taken` are scratch.
     """
-    phase, elements, count, dz, output = own % laws.A.shape[1], raw.shape[0], raw.shape[1], dzs[axis], laws.output[axis]
+    phase, elements, count, dz, output = own % loop.A.shape[1], raw.shape[0], raw.shape[1], dzs[axis], loop.output[axis]
     states = dz.shape[0]
     for e in range(elements):
         for c in range(count):
-            raw[e, c] = laws.D[axis, phase, e] * dq[motor, c]
-        for i in range(explicit.shape[3]):
-            raw[e, first + i] += explicit[axis, own, e, i]
+            raw[e, c] = loop.D[axis, phase, e] * dq[motor, c]
+        for i in range(columns.size):
+            raw[e, columns[i]] += explicit[axis, own, e, i]
         for s in range(states):
-            _add(laws.C[axis, phase, e, s], dz, s, raw, e)
+            _add(loop.C[axis, phase, e, s], dz, s, raw, e)
         for other in range(e):
-            _add(laws.E[axis, phase, e, other] if excess[axis, own, other] != 0.0 else 0.0, taken, other, raw, e)
+            _add(loop.E[axis, phase, e, other] if excess[axis, own, other] != 0.0 else 0.0, taken, other, raw, e)
         cut = excess[axis, own, e]
-        sign = -math.copysign(1.0, cut) if laws.gates[axis, e] < 0 else 0.0
+        sign = -math.copysign(1.0, cut) if loop.gates[axis, e] < 0 else 0.0
         for c in range(count if cut != 0.0 else 0):
             taken[e, c] = sign * dlimits[axis, e, c] - raw[e, c]
         for c in range(count if e == output else 0):
             command[axis, step, c] = raw[e, c] + (taken[e, c] if cut != 0.0 else 0.0)
     for s in range(states):
         for c in range(count):
-            fresh[s, c] = laws.Bq[axis, phase, s] * dq[motor, c]
+            fresh[s, c] = loop.Bq[axis, phase, s] * dq[motor, c]
         for other in range(states):
-            _add(laws.A[axis, phase, s, other], dz, other, fresh, s)
+            _add(loop.A[axis, phase, s, other], dz, other, fresh, s)
         for e in range(elements):
-            _add(laws.F[axis, phase, s, e] if excess[axis, own, e] != 0.0 else 0.0, taken, e, fresh, s)
+            _add(loop.F[axis, phase, s, e] if excess[axis, own, e] != 0.0 else 0.0, taken, e, fresh, s)
     for s in range(states):
         for c in range(count):
             dz[s, c] = fresh[s, c]

@@ -31,48 +31,10 @@ from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.affine import (
-    INPUTS,
-    MODES,
-    drive_of,
-    enter_mode,
-    flow,
-    glide,
-    read_state,
-    ride,
-    write_state,
-)
+from jointid.simulation import kernels
+from jointid.simulation.kernels import FINISHED, FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, affine
 from jointid.simulation.kernels.control import control_any, small_law
 from jointid.simulation.kernels.laws import fastest_rate, friction, place_force, spring_torque, take_piece, wind
-from jointid.simulation.kernels.tables import (
-    BEGIN,
-    CHATTERING,
-    COULOMB,
-    COULOMB_BACK,
-    COULOMB_DRIFT,
-    CUBIC,
-    DIVERGED,
-    EVENT,
-    FINISHED,
-    FREE,
-    HIGH,
-    INERTIA,
-    LENGTH,
-    NOT_POSITIVE,
-    OFFSET,
-    PART,
-    PER_TORQUE,
-    SLIDING,
-    STATE,
-    TOO_STIFF,
-    WHERE,
-    WINDING,
-    IndexArray,
-    IntArray,
-    Path,
-    Plant,
-    SampledLoop,
-)
 
 REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
 _MANY = 1000.0  # rad of a part that show a drive that is too stiff
@@ -126,12 +88,12 @@ def accelerate(
     """
     nd = q.size
     for i in range(nd):
-        held[i] = drive[i] - mass[i, OFFSET]
+        held[i] = drive[i] - mass[i, kernels.OFFSET]
     if tree is not None:
         for i in range(bias.size):
             held[i] -= bias[i]
     for j in range(places.shape[0]):
-        i = int(places[j, WHERE])
+        i = int(places[j, kernels.WHERE])
         held[i] -= place_force(places, j, q[i])
     for s in range(pairs.shape[0]):
         one, two = pairs[s, 0], pairs[s, 1]
@@ -144,7 +106,7 @@ def accelerate(
         back = 1 if way < 0.0 or (way == 0.0 and held[i] < 0.0) else 0
         carried = pull[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
         grip[i], drag = friction(mass, i, back, carried, time)
-        held[i] -= drag * v[i] + grip[i] * (w[i] if mass[i, WINDING] > 0.0 else mode)
+        held[i] -= drag * v[i] + grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode)
         a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
     positive = tree is None or invert(M, modes, inverse)
     for i in range(bias.size):
@@ -165,7 +127,7 @@ def settle(
         mode = modes[i]
         if v[i] != 0.0 or mode == FREE:
             continue
-        if mass[i, WINDING] > 0.0:
+        if mass[i, kernels.WINDING] > 0.0:
             mode = -mode if turns and mode * a[i] < 0.0 else mode
         elif mode == 0.0 and abs(held[i]) >= _HOLD * grip[i] and held[i] != 0.0:
             mode = math.copysign(1.0, held[i])
@@ -187,19 +149,20 @@ def _enter(
     if i >= nd:
         s, p = i - nd, abs(at[i])
         take_piece(springs, s, at[i], spring)
-        low, high = springs[s, p, BEGIN], springs[s, p + 1, BEGIN] if p + 1 < springs.shape[1] else np.inf
+        low = springs[s, p, kernels.BEGIN]
+        high = springs[s, p + 1, kernels.BEGIN] if p + 1 < springs.shape[1] else np.inf
         if at[i] <= 0:
             low, high = -high, high if p == 0 else -low
     else:
         assign(mass[i], masses[i, at[i]])
-        if modes[i] != FREE and mass[i, WINDING] == 0.0:
-            low, high = masses[i, at[i] - 1, HIGH] if at[i] > 0 else -np.inf, mass[i, HIGH]
+        if modes[i] != FREE and mass[i, kernels.WINDING] == 0.0:
+            low, high = masses[i, at[i] - 1, kernels.HIGH] if at[i] > 0 else -np.inf, mass[i, kernels.HIGH]
     bounds[i, 0], bounds[i, 1] = low, high
 
 
 @inline_kernel
 def _watch(
-    mass: FloatArray, spring: FloatArray, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, q: FloatArray,
+    spring: FloatArray, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, q: FloatArray,
     v: FloatArray, held: FloatArray, grip: FloatArray, guards: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the guards, each positive until its event, and infinite without one.
@@ -216,7 +179,7 @@ def _watch(
             guards[i] = np.inf
     for s in range(pairs.shape[0]):
         i, one, two = nd + s, pairs[s, 0], pairs[s, 1]
-        guards[i] = modes[i] * (v[two] - v[one]) if spring[s, SLIDING] > 0.0 else np.inf
+        guards[i] = modes[i] * (v[two] - v[one]) if spring[s, kernels.SLIDING] > 0.0 else np.inf
         guards[every + i] = min(q[two] - q[one] - bounds[i, 0], bounds[i, 1] - (q[two] - q[one]))
 
 
@@ -261,26 +224,26 @@ def _begin(
     """Fill modes, bands and pieces at the first sample."""
     nd = v.size
     for i in range(nd):
-        largest, modes[i] = max(masses[i, 0, COULOMB], masses[i, 0, COULOMB_BACK]), FREE
-        sticks = math.sqrt(largest * masses[i, 0, WINDING] * mobility[i]) * longest
+        largest, modes[i] = max(masses[i, 0, kernels.COULOMB], masses[i, 0, kernels.COULOMB_BACK]), FREE
+        sticks = math.sqrt(largest * masses[i, 0, kernels.WINDING] * mobility[i]) * longest
         for band in range(masses.shape[1]):
             if links == 0 and not sticks < _STICKS:
-                masses[i, band, WINDING] = 0.0
-            grows = masses[i, band, COULOMB_DRIFT] != 0.0 or masses[i, band, PER_TORQUE] > 0.0
-            if grows or max(masses[i, band, COULOMB], masses[i, band, COULOMB_BACK]) > 0.0:
+                masses[i, band, kernels.WINDING] = 0.0
+            grows = masses[i, band, kernels.COULOMB_DRIFT] != 0.0 or masses[i, band, kernels.PER_TORQUE] > 0.0
+            if grows or max(masses[i, band, kernels.COULOMB], masses[i, band, kernels.COULOMB_BACK]) > 0.0:
                 modes[i] = 0.0
-        if masses[i, 0, WINDING] > 0.0:
+        if masses[i, 0, kernels.WINDING] > 0.0:
             modes[i] = math.copysign(1.0, v[i])
         else:
             w[i] = 0.0
             modes[i] = math.copysign(1.0, v[i]) if modes[i] == 0.0 and v[i] != 0.0 else modes[i]
-            while modes[i] != FREE and abs(v[i]) > masses[i, at[i], HIGH]:
+            while modes[i] != FREE and abs(v[i]) > masses[i, at[i], kernels.HIGH]:
                 at[i] += 1
     for s in range(pairs.shape[0]):
         e, rate = q[pairs[s, 1]] - q[pairs[s, 0]], v[pairs[s, 1]] - v[pairs[s, 0]]
         modes[nd + s] = math.copysign(1.0, rate)
         for p in range(1, springs.shape[1]):
-            if abs(e) > springs[s, p, BEGIN]:
+            if abs(e) > springs[s, p, kernels.BEGIN]:
                 at[nd + s] = p if e > 0.0 else -p
 
 
@@ -301,7 +264,7 @@ def _go_on(
         modes[event] = math.copysign(1.0, held[event])
     else:
         v[event] = 0.0
-        modes[event] = -modes[event] if mass[event, WINDING] > 0.0 else 0.0
+        modes[event] = -modes[event] if mass[event, kernels.WINDING] > 0.0 else 0.0
 
 
 @inline_kernel
@@ -311,7 +274,7 @@ def _write_row(
 ) -> None:  # fmt: skip
     """Write a step into its row of the tape."""
     nd, every = q.size, modes.size
-    row[PART], row[LENGTH], row[EVENT] = part, d, event
+    row[kernels.PART], row[kernels.LENGTH], row[kernels.EVENT] = part, d, event
     for i in range(nd):
         row[STATE + i], row[STATE + nd + i] = q[i], v[i]
         row[STATE + 2 * nd + i], row[STATE + 3 * nd + i] = a[i], a1[i]
@@ -371,9 +334,9 @@ def run(
         counts: (4,) out: events, rows of the tape, steps of the clock that were simulated, those at a limit.
     """
     masses, springs, places, pairs, motors, carriers = plant
-    w_in, post, lengths, lags, feedback, every = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback, loop.every
+    post, lengths, lags, every, elements = loop.post, loop.lengths, loop.lags, loop.every, loop.w.shape[1]
     nd, ns, links, parts, clock = masses.shape[0], pairs.shape[0], inertials.shape[0], lengths.size, command.shape[1]
-    axes, outputs = motors.size, feedback.output
+    axes, outputs = motors.size, loop.output
     # Each has an array of its own: of rows of one Numba counts the references in every step.
     q, v, w, a, held, grip = place.copy(), speed.copy(), np.zeros(nd + ns), np.zeros(nd), np.zeros(nd), np.zeros(nd)
     q1, v1, w1, a1, held1, grip1 = q.copy(), v.copy(), w.copy(), a.copy(), a.copy(), a.copy()
@@ -383,15 +346,15 @@ def run(
     guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
     M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
-    fresh, out, cut = np.empty(z.shape[1]), np.zeros(w_in.shape[1]), np.zeros(w_in.shape[1])
+    fresh, out, cut = np.empty(z.shape[1]), np.zeros(elements), np.zeros(elements)
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
     for part in range(parts):
         period += lengths[part]
         longest = max(longest, lengths[part])
     for i in range(nd):
         w[i] = wound[i]
-        mobility[i] = 1.0 / mass[i, INERTIA] if i >= links else 0.0
-        coupled = coupled or (carriers[i] < 0 and mass[i, PER_TORQUE] > 0.0)
+        mobility[i] = 1.0 / mass[i, kernels.INERTIA] if i >= links else 0.0
+        coupled = coupled or (carriers[i] < 0 and mass[i, kernels.PER_TORQUE] > 0.0)
     for j in range(axes):
         drive[motors[j]] = before[j]
     _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
@@ -399,42 +362,36 @@ def run(
     for i in range(nd + ns):
         _enter(i, masses, springs, modes, at, mass, spring, bounds)
     for i in range(nd):
-        winds = winds or mass[i, WINDING] > 0.0
+        winds = winds or mass[i, kernels.WINDING] > 0.0
     for s in range(ns):
-        winds, varies = winds or spring[s, SLIDING] > 0.0, varies or spring[s, CUBIC] != 0.0
+        winds, varies = winds or spring[s, kernels.SLIDING] > 0.0, varies or spring[s, kernels.CUBIC] != 0.0
     varies = varies or winds
     if tree is not None:
         equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
         for i in range(links):
-            M[i, i] += mass[i, INERTIA]
+            M[i, i] += mass[i, kernels.INERTIA]
     events, steps, rows, status, k, fastest = 0, 0, 1, FINISHED, 0, rate
-    # The maps of straight lines, and a feedback of one element, one phase and two states at most, which glides by them.
+    # The maps of straight lines, and a law of one element, one phase and two states at most, which glides by them.
     straight, states, kept_modes, rates = path
-    lines, maps, part = drive_of(mass, spring), MODES if straight else 0, 0
+    (lines, tie), maps, part = affine.two_masses(mass, spring), affine.MODES if straight else 0, 0
     filled = np.zeros(maps, dtype=np.bool_)
-    moves, bends = np.zeros((parts * maps, INPUTS, 4)), np.zeros((parts * maps, 3))
-    glides = straight and parts == 1 and z.shape[1] <= 2 and feedback.D.size == 1 and feedback.driven.shape[1] == 0
-    law = small_law(feedback, z.shape[1] if glides else 0)
+    moves, bends = np.zeros((parts * maps, affine.INPUTS, 4)), np.zeros((parts * maps, 3))
+    small = straight and parts == 1 and z.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
+    law = small_law(loop, z.shape[1] if small else 0)
     if straight:
         fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
-        status = FINISHED if longest * fastest <= _MANY else TOO_STIFF
+        status = FINISHED if longest * fastest <= _MANY else kernels.TOO_STIFF
     if tape.shape[0] > 0:
         _write_row(tape[0], -1, 0.0, -1, modes, at, q, v, w, a, a)
     while k < clock and status == FINISHED:
         limited = False
         if tree is None:  # noqa: SIM102 (it is not compiled for robots)
             if straight:
-                mode = enter_mode(lines, modes, v, 0.0, lengths, filled, rates, moves, bends)
-                if glides:
-                    k = glide(
-                        lines, law, rates, moves, bends, mode, states, kept_modes, lags[0, 0], before[0], far[0],
-                        w_in[0, 0], post[0], command[0], excess[0], q, v, z, counts, k,
-                    )  # fmt: skip
-                else:
-                    k, part = ride(
-                        lines, loop, before[0], far[0], rates, moves, bends, mode, states, kept_modes, q, v, z, fresh,
-                        out, cut, command[0], excess[0], counts, k, part,
-                    )  # fmt: skip
+                mode = affine.enter_mode(lines, tie, modes, v, 0.0, lengths, filled, rates, moves, bends)
+                k, part = affine.ride(
+                    lines, tie, loop, law, small, before[0], far[0], rates, moves, bends, mode, states, kept_modes, q,
+                    v, z, fresh, out, cut, command[0], excess[0], counts, k, part,
+                )  # fmt: skip
                 if k == clock:
                     break
         for j in range(axes):
@@ -442,13 +399,13 @@ def run(
                 command[j, k] = command[j, k - 1]
             elif not straight:
                 own = k // every[j]
-                control_any(feedback, j, w_in, own, q[motors[j]], z, fresh, out, cut)
+                control_any(loop, j, own, q[motors[j]], z, fresh, out, cut)
                 command[j, k] = out[outputs[j]]
                 if excess.shape[1] > 0:
                     assign(excess[j, own], cut)
                 limited = limited or cut[outputs[j]] != 0.0
             if not (abs(q[motors[j]]) <= far[j] and abs(command[j, k]) < np.inf):
-                status = DIVERGED
+                status = kernels.DIVERGED
         if status != FINISHED:
             break
         counts[3] += 1 if limited else 0
@@ -469,58 +426,63 @@ def run(
                         mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive, time,
                         q, v, w, a, held, grip, pull,
                     ):  # fmt: skip
-                        status = NOT_POSITIVE
+                        status = kernels.NOT_POSITIVE
                         break
                     if not settle(mass, modes, v, a, held, grip, turn <= nd):
                         break
                 for s in range(ns if settles else 0):  # a deflection at rest goes where its ends accelerate to
                     one, two = pairs[s, 0], pairs[s, 1]
-                    if spring[s, SLIDING] > 0.0 and v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0:
+                    if (
+                        spring[s, kernels.SLIDING] > 0.0
+                        and v[two] == v[one]
+                        and modes[nd + s] * (a[two] - a[one]) < 0.0
+                    ):
                         modes[nd + s] = -modes[nd + s]
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
                     fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach
                 if not left * fastest <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
-                    status = TOO_STIFF
+                    status = kernels.TOO_STIFF
                 if status != FINISHED:
                     break
                 if straight:
-                    mode = enter_mode(lines, modes, v, 1.0, lengths, filled, rates, moves, bends)
+                    mode = affine.enter_mode(lines, tie, modes, v, 1.0, lengths, filled, rates, moves, bends)
                     if left == lengths[part] and kept_modes.size > 0:  # in which it begins to move
                         kept_modes[k * parts + part] = mode
                 h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)
                 known, dips, looks, tries = -1, False, True, 0
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
-                _watch(mass, spring, pairs, modes, bounds, q, v, held, grip, guards)
+                _watch(spring, pairs, modes, bounds, q, v, held, grip, guards)
                 while True:
                     d = share * h
                     for stage in range(3 if straight else 0, 4):
                         if straight:
-                            write_state(flow(rates[mode], d, read_state(q, v), drive[0], 1.0), q1, v1)
+                            moved = affine.flow(rates[mode], d, affine.read_state(q, v), drive[0], 1.0)
+                            affine.write_state(moved, q1, v1)
                         else:
                             _go_to_stage(stage, d, q, v, a, second, third, a1, q1, v1)
                         for i in range(nd if winds else 0):
-                            w1[i] = wind(w[i], modes[i], q1[i] - q[i], mass[i, WINDING])
+                            w1[i] = wind(w[i], modes[i], q1[i] - q[i], mass[i, kernels.WINDING])
                         for s in range(ns if winds else 0):
                             one, two = pairs[s, 0], pairs[s, 1]
                             e = (q1[two] - q1[one]) - (q[two] - q[one])
-                            w1[nd + s] = wind(w[nd + s], modes[nd + s], e, spring[s, SLIDING])
+                            w1[nd + s] = wind(w[nd + s], modes[nd + s], e, spring[s, kernels.SLIDING])
                         if tree is not None:
                             equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
                             for i in range(links):
-                                M[i, i] += mass[i, INERTIA]
+                                M[i, i] += mass[i, kernels.INERTIA]
                         then = time + (0.5 * d if stage < 2 else d)
                         if not accelerate(
                             mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive,
                             then, q1, v1, w1, a1, held1, grip1, pull,
                         ):  # fmt: skip
-                            status = NOT_POSITIVE
+                            status = kernels.NOT_POSITIVE
                             break
                     if status != FINISHED:
                         break
                     steps += 1
                     tries += 1
-                    _watch(mass, spring, pairs, modes, bounds, q1, v1, held1, grip1, ends)
+                    _watch(spring, pairs, modes, bounds, q1, v1, held1, grip1, ends)
                     if looks:  # at first, and where an event is located, since another may come before
                         found, where = _find_first(modes, d, guards, ends, a, a1, known, tries == 1)
                         if found < 0 or tries > _CLOSER:
@@ -563,7 +525,7 @@ def run(
                     if known >= nd + ns:
                         _enter(known - nd - ns, masses, springs, modes, at, mass, spring, bounds)
                     if events - before_period > _EVENTS:
-                        status = CHATTERING
+                        status = kernels.CHATTERING
             if straight:
                 if rows < tape.shape[0]:
                     _write_row(tape[rows], k * parts + part, 0.0, -1, modes, at, q, v, w, a, a)

@@ -1,6 +1,6 @@
 """The laws of friction, springs and forces of a position, compiled: of each its force and the partials of that.
 
-A law is a row of numbers (`kernels.tables`), in which its force is linear but for a winding length and a wave. The
+A law is a row of numbers (`kernels`), in which its force is linear but for a winding length and a wave. The
 simulation takes the forces, its derivatives the partials. What winds up over a displacement is a state w of its own, by
 the law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976). With the direction d of
 the motion, and the displacement x since the step began, it has a closed form, and is as exact as the motion::
@@ -14,7 +14,7 @@ import math
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, inline_kernel
-from jointid.simulation.kernels.tables import (
+from jointid.simulation.kernels import (
     COS,
     COULOMB,
     COULOMB_DRIFT,

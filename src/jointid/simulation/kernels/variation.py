@@ -28,46 +28,10 @@ from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
-from jointid.simulation.kernels.affine import INPUTS, MODES, drive_of
-from jointid.simulation.kernels.affine_tangent import SCRATCH, WIDE, cross_slopes, fill_tangent, glide_slopes
+from jointid.simulation import kernels
+from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
 from jointid.simulation.kernels.control import NOTHING, OFTEN, aligned_zeros, control_slopes, small_law
 from jointid.simulation.kernels.engine import invert
-from jointid.simulation.kernels.laws import (
-    friction,
-    friction_partials,
-    place_partials,
-    spring_partials,
-    spring_torque,
-    take_piece,
-    wind,
-    wind_partials,
-)
-from jointid.simulation.kernels.tables import (
-    BEGIN,
-    DAMPING,
-    EVENT,
-    FREE,
-    HELD,
-    INERTIA,
-    LANES,
-    LENGTH,
-    MASS,
-    PART,
-    SLIDING,
-    SLIPS,
-    SPRING,
-    STATE,
-    WHERE,
-    WINDING,
-    IndexArray,
-    IntArray,
-    Moved,
-    Path,
-    Plant,
-    SampledLoop,
-    Seeds,
-    Slopes,
-)
 
 # A block of derivatives: positions of the masses, or a derivative of these by time, then the forces given on masses and
 # in springs as a step begins, or their rates.
@@ -83,7 +47,7 @@ _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with 
 @inline_kernel
 def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray, change: FloatArray) -> None:
     """Fill the means of positions, velocities and accelerations over a step, and by how much they change in it."""
-    h, then = tape[row, LENGTH], row + 1
+    h, then = tape[row, kernels.LENGTH], row + 1
     for i in range(nd):
         q, v, a = tape[row, STATE + i], tape[row, STATE + nd + i], tape[row, STATE + 2 * nd + i]
         q1, v1, a1 = tape[then, STATE + i], tape[then, STATE + nd + i], tape[row, STATE + 3 * nd + i]
@@ -95,10 +59,10 @@ def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray, change: 
 @inline_kernel
 def _wind(f: FloatArray, x: int, w: float, way: float, gone: float, rate: float, force: float) -> float:
     """Add half the factors of what winds up in a step; return the partial of the force by the rate in its middle."""
-    half, slope = wind_partials(w, way, 0.5 * gone, rate)
+    half, slope = laws.wind_partials(w, way, 0.5 * gone, rate)
     f[_ENTERS, x] += 0.5 * force * half
     f[_WINDS, x] += 0.5 * force * slope * rate
-    left, slope_left = wind_partials(w, way, gone, rate)
+    left, slope_left = laws.wind_partials(w, way, gone, rate)
     f[_LEFT, x], f[_GAINS, x], f[_TURNS, x] = left, slope_left * rate, slope_left * gone
     return 0.5 * force * slope * gone
 
@@ -113,12 +77,12 @@ def _fill_factors(
 
     Partials have rows for masses, springs and places as the step begins, then as many as it ends.
     """
-    nd, ns, h, half = masses.shape[0], pairs.shape[0], tape[row, LENGTH], k.shape[0] // 2
+    nd, ns, h, half = masses.shape[0], pairs.shape[0], tape[row, kernels.LENGTH], k.shape[0] // 2
     modes, at, wound = STATE + 4 * nd, STATE + 5 * nd + ns, STATE + 6 * nd + 2 * ns
     for i in range(nd):
         assign(mass[i], masses[i, int(tape[row, at + i])])
     for s in range(ns):
-        take_piece(springs, s, int(tape[row, at + nd + s]), spring)
+        laws.take_piece(springs, s, int(tape[row, at + nd + s]), spring)
     for i in range(_FACTORS):
         for x in range(f.shape[1]):
             f[i, x] = 0.0
@@ -127,34 +91,36 @@ def _fill_factors(
         for s in range(ns):
             one, two, x, to, piece = pairs[s, 0], pairs[s, 1], nd + s, end * half + nd + s, tape[row, at + nd + s]
             gone, way, begun = (mean[_SPEED, two] - mean[_SPEED, one]) * h, tape[row, modes + nd + s], wound + nd + s
-            w = wind(tape[row, begun], way, 0.5 * gone, spring[s, SLIDING])
+            w = laws.wind(tape[row, begun], way, 0.5 * gone, spring[s, kernels.SLIDING])
             w += side * (tape[row + 1, begun] - tape[row, begun])
             e = mean[_PLACE, two] - mean[_PLACE, one] + side * (change[_PLACE, two] - change[_PLACE, one])
             de = gone / h + side * (change[_SPEED, two] - change[_SPEED, one])
-            torque[s] = spring_torque(spring, s, e, de, w)
-            f[_PULL, x] += 0.5 * spring_partials(spring, s, e, de, w, k, to)
-            f[_DAMP, x] = spring[s, DAMPING]
-            k[to, HELD], k[to, SLIDING] = 0.0 if piece == 0.0 else math.copysign(1.0, piece), 0.0
-            if spring[s, SLIPS] > 0.0:
-                k[to, SLIDING] = _wind(f, x, tape[row, begun], way, gone, spring[s, SLIDING], spring[s, SLIPS])
+            torque[s] = laws.spring_torque(spring, s, e, de, w)
+            f[_PULL, x] += 0.5 * laws.spring_partials(spring, s, e, de, w, k, to)
+            f[_DAMP, x] = spring[s, kernels.DAMPING]
+            k[to, kernels.HELD], k[to, kernels.SLIDING] = 0.0 if piece == 0.0 else math.copysign(1.0, piece), 0.0
+            if spring[s, kernels.SLIPS] > 0.0:
+                k[to, kernels.SLIDING] = _wind(
+                    f, x, tape[row, begun], way, gone, spring[s, kernels.SLIDING], spring[s, kernels.SLIPS]
+                )
         for i in range(nd):
             mode, speed, to = tape[row, modes + i], mean[_SPEED, i], end * half + i
             way = math.copysign(1.0, speed) if mode == FREE else mode
             back, share, then = 1 if way < 0.0 else 0, way, time + end * h
             carried = torque[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
-            grip, drag = friction(mass, i, back, carried, then)
-            k[to, INERTIA], k[to, WINDING] = -mean[_CHANGE, i] - side * change[_CHANGE, i], 0.0
-            if mass[i, WINDING] > 0.0:
-                w, winds = tape[row, wound + i], mass[i, WINDING]
-                share = wind(w, mode, 0.5 * speed * h, winds) + side * (tape[row + 1, wound + i] - w)
-                k[to, WINDING] = _wind(f, i, w, mode, speed * h, winds, -grip)
+            grip, drag = laws.friction(mass, i, back, carried, then)
+            k[to, kernels.INERTIA], k[to, kernels.WINDING] = -mean[_CHANGE, i] - side * change[_CHANGE, i], 0.0
+            if mass[i, kernels.WINDING] > 0.0:
+                w, winds = tape[row, wound + i], mass[i, kernels.WINDING]
+                share = laws.wind(w, mode, 0.5 * speed * h, winds) + side * (tape[row + 1, wound + i] - w)
+                k[to, kernels.WINDING] = _wind(f, i, w, mode, speed * h, winds, -grip)
             speed += side * change[_SPEED, i]
             f[_GOES, i] = 1.0 if mode != 0.0 else 0.0
             f[_DRAG, i] += 0.5 * drag
-            f[_TAKES, i] += 0.5 * (1.0 - friction_partials(mass, i, back, share, speed, carried, then, k, to))
+            f[_TAKES, i] += 0.5 * (1.0 - laws.friction_partials(mass, i, back, share, speed, carried, then, k, to))
         for j in range(places.shape[0]):
-            i, to = int(places[j, WHERE]), (end + 1) * half - places.shape[0] + j
-            f[_STIFF, i] += 0.5 * place_partials(places, j, mean[_PLACE, i] + side * change[_PLACE, i], k, to)
+            i, to = int(places[j, kernels.WHERE]), (end + 1) * half - places.shape[0] + j
+            f[_STIFF, i] += 0.5 * laws.place_partials(places, j, mean[_PLACE, i] + side * change[_PLACE, i], k, to)
     for i in range(nd):
         f[_STIFF, i] += f[_WINDS, i]
     for i in range(nd, nd + ns):
@@ -267,34 +233,16 @@ def _shift_edges(
             dv[i, c] -= inverse[i, r] * push
 
 
-@compile_kernel
-def _add_moved_links(
-    rotors: IndexArray, ends: IndexArray, M: FloatArray, C: FloatArray, K: FloatArray, h: float, whole: float,
-    dq: FloatArray, gone: FloatArray, bent: FloatArray, gained: FloatArray, moved_links: FloatArray,
-) -> None:  # fmt: skip
-    """Add what the links' changes of position, rate and velocity gained in a piece of h s add to the motors' torques.
-
-    A motor feels them by its spring, or, of a rigid joint, by the links that hang on others. What velocities gained
-    before the event that ended the piece is `bent`.
-    """
-    for i in range(rotors.size):
-        for j in range(rotors.size):
-            r, link = rotors[i], ends[j]
-            if rotors[j] == link:  # moved as prescribed
-                continue
-            inert, damping, stiffness = M[r, link] / whole, C[r, link] / whole, h / whole * K[r, link]
-            for c in range(dq.shape[1] if inert != 0.0 or stiffness != 0.0 or damping != 0.0 else 0):
-                middle = dq[link, c] - 0.5 * gone[link, c] - h / 12.0 * bent[link, c]
-                moved_links[i, c] += inert * gained[link, c] + damping * gone[link, c] + stiffness * middle
-
-
 @inline_kernel
 def _pass_event(
-    tape: FloatArray, row: int, nd: int, pairs: IndexArray, seeds: Seeds, dq: FloatArray, dv: FloatArray,
-    lead: FloatArray,
+    tape: FloatArray, row: int, nd: int, pairs: IndexArray, heavy: IndexArray, M: FloatArray, seeds: Seeds,
+    dq: FloatArray, dv: FloatArray, lead: FloatArray, jump: FloatArray,
 ) -> None:  # fmt: skip
-    """Change the velocities at the event that ended a step: by `lead`, s, it comes earlier."""
-    event, every, after, before = int(tape[row, EVENT]), nd + len(pairs), STATE + 2 * nd, STATE + 3 * nd
+    """Change the velocities at the event that ended a step: by `lead`, s, it comes earlier.
+
+    The jump of a heavy mass is lost in its rounding, and is what those that it carries make it.
+    """
+    event, every, after, before = int(tape[row, kernels.EVENT]), nd + len(pairs), STATE + 2 * nd, STATE + 3 * nd
     modes, then, moves, count = STATE + 4 * nd, row + 1, False, dq.shape[1]
     if event < nd and tape[row, modes + event] != 0.0:
         largest, slowing = 0.0, tape[row, before + event]
@@ -313,20 +261,30 @@ def _pass_event(
         for c in range(count if moves else 0):
             lead[c] = (dq[two, c] - dq[one, c]) / rate
         for e in range(seeds.begin[nd + s, edge], seeds.begin[nd + s, edge + 1] if moves else 0):
-            if seeds.numbers[e] == BEGIN:
+            if seeds.numbers[e] == kernels.BEGIN:
                 lead[seeds.columns[e]] -= side * seeds.values[e] / rate
+    for i in range(nd):
+        jump[i] = tape[then, after + i] - tape[row, before + i]
+    for r in heavy:
+        jump[r] = 0.0
+    for r in heavy:
+        push = 0.0
+        for i in range(nd):
+            push += M[r, i] * jump[i]
+        jump[r] = -push / M[r, r]
     for i in range(nd if moves else 0):
-        jump = tape[then, after + i] - tape[row, before + i]
         for c in range(count):
-            dv[i, c] += jump * lead[c]
+            dv[i, c] += jump[i] * lead[c]
 
 
 @compile_kernel
 def follow(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, torques_before: FloatArray,
-    torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path, seeds: Seeds, moved: Moved, slopes: Slopes,
+    torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path, seeds: Seeds, first_q: FloatArray,
+    first_v: FloatArray, dz: FloatArray, explicit: FloatArray, columns: IntArray, dlimits: FloatArray,
+    command: FloatArray, states: FloatArray, speeds: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the derivatives of a finished run; LANES columns of a joint of straight lines.
+    """Fill the derivatives of a finished run by n parameters; LANES of a joint of straight lines.
 
     Args:
         plant: of `kernels.engine.run`, as the run left it.
@@ -339,43 +297,45 @@ def follow(
         tape: the same, its filled rows.
         path: the same.
         seeds: how the numbers of the plant depend on the parameters.
-        moved: how its first state and the controllers do.
-        slopes: out.
+        first_q: (masses, n) of the first positions.
+        first_v: (masses, n) of the first velocities.
+        dz: (axes, states, n) of the controllers' states, overwritten.
+        explicit: (axes, periods, elements, some) of the controllers' elements, the motion and what limits take away
+            held, by the parameters of some columns.
+        columns: (some,) which.
+        dlimits: (axes, elements, n).
+        command: (axes, clock, n) out: of the torques that act; or (axes, clock, 0) of motors that are moved.
+        states: (parts of all steps, 4, n) out: of position and velocity of two masses as each begins; or (0, 4, n).
+        speeds: (axes, parts of all steps, n) out: of the velocities of motors that are moved; or (axes, 0, n).
     """
     masses, springs, places, pairs, rotors, carriers = plant
-    lags, every, post, lengths, laws = loop.lags, loop.every, loop.post, loop.lengths, loop.feedback
-    command, states, moved_links = slopes.command, slopes.states, slopes.links
-    dz, explicit, dlimits = moved.dz, moved.explicit, moved.limits
-    n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), moved.dq.shape[1]
+    lags, every, post, lengths = loop.lags, loop.every, loop.post, loop.lengths
+    n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), first_q.shape[1]
     parts, steps, elements, forces, last_row = lags.shape[1], torques.shape[1], excess.shape[2], nd + ns, len(tape) - 1
-    controlled, prescribed = command.shape[2] > 0, moved_links.shape[1] > 0
+    controlled, heavy = command.shape[2] > 0, rotors[: rotors.size if speeds.shape[1] > 0 else 0]
     x = np.zeros((_ORDER + 2, nd + forces, count))
     dq, dv, gone, given, rate = x[0, :nd], x[1, :nd], x[2, :nd], x[0, nd:], x[1, nd:]
     dw, turned, dtau = np.zeros((forces, count)), np.zeros((forces, count)), np.zeros((axes, count))
-    lead, gained, bent = np.zeros(count), np.zeros((nd, count)), np.zeros((nd, count))
+    lead, kicks = np.zeros(count), np.zeros(nd)
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, change, drive = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd)
     mass, spring, torque = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns)
-    f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), MASS))
+    f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), kernels.MASS))
     room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
     of_links, inverse, K, C, rows = Y.copy(), M.copy(), M.copy(), M.copy(), np.zeros((nd, count))
-    jumps, ends = np.zeros(axes, dtype=np.bool_), rotors.copy()
+    jumps = np.zeros(axes, dtype=np.bool_)
     for i in range(nd):
-        assign(dq[i], moved.dq[i])
-        assign(dv[i], moved.dv[i])
-    for i in range(ns if prescribed else 0):
-        for j in range(axes):
-            for side in range(2):
-                if pairs[i, side] == rotors[j]:
-                    ends[j] = pairs[i, 1 - side]
+        assign(dq[i], first_q[i])
+        assign(dv[i], first_v[i])
     straight, kept, modes, rates = path
-    lines, maps = drive_of(mass, spring), MODES if straight else 0
-    filled, moves = np.zeros(maps, dtype=np.bool_), np.zeros((parts * maps, INPUTS, 4))
-    pushes = aligned_zeros(parts * maps * INPUTS * WIDE).reshape((parts * maps, INPUTS * WIDE))
-    in_lanes, shifted, by = aligned_zeros(SCRATCH), np.zeros((2, INPUTS), dtype=np.complex128), np.zeros((2, INPUTS))
-    dmass, dspring = np.zeros((LANES, nd, MASS)), np.zeros((LANES, ns, SPRING))
-    small = straight and dz.shape[1] <= 2 and laws.D.size == 1 and laws.driven.shape[1] == 0
-    law = small_law(laws, dz.shape[1] if small else 0)
+    (lines, _), maps, inputs = affine.two_masses(mass, spring), parts * affine.MODES if straight else 0, affine.INPUTS
+    filled, moves = np.zeros(affine.MODES, dtype=np.bool_), np.zeros((maps, inputs, 4))
+    pushes = aligned_zeros(maps * inputs * affine.WIDE).reshape((maps, inputs * affine.WIDE))
+    in_lanes, shifted = aligned_zeros(affine.SCRATCH), np.zeros((2, inputs), dtype=np.complex128)
+    by = np.zeros((2, inputs))
+    dmass, dspring = np.zeros((kernels.LANES, 2, kernels.MASS)), np.zeros((kernels.LANES, 1, kernels.SPRING))
+    small = straight and dz.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
+    law = small_law(loop, dz.shape[1] if small else 0)
     plain = small and len(states) + len(seeds.delays) == 0
     if straight:
         for i in range(nd + ns):
@@ -384,7 +344,7 @@ def follow(
                     dmass[seeds.columns[e], i, seeds.numbers[e]] = seeds.values[e]
                 else:
                     dspring[seeds.columns[e], i - nd, seeds.numbers[e]] = seeds.values[e]
-    period, row, step = np.sum(lengths), 1, 0
+    period, row, step, at_band = np.sum(lengths), 1, 0, STATE + 5 * nd + ns
     while step < steps:
         if step % OFTEN == 0:
             _flush(dq)
@@ -393,12 +353,14 @@ def follow(
                 _flush(dz[j])
         if tree is None:  # noqa: SIM102 (it is not compiled for robots)
             if plain:
-                mode, then = int(modes[step * parts]), int(tape[row, PART]) // parts if row < last_row else steps
-                if filled[mode] and then != step and abs(torques[0, step]) < laws.limits[0, 0]:
+                mode, then = int(modes[step * parts]), steps
+                if row < last_row:
+                    then = int(tape[row, kernels.PART]) // parts
+                if filled[mode] and then != step and abs(torques[0, step]) < loop.limits[0, 0]:
                     end = min(step - step % OFTEN + OFTEN, then)
-                    gone_to = glide_slopes(
+                    gone_to = affine.glide_slopes(
                         in_lanes, law, moves, pushes, mode, step, end, lags[0], torques_before[0], kept, modes,
-                        torques[0], post[0], explicit[0], moved.first, dq, dv, dz[0], command[0],
+                        torques[0], post[0], explicit[0], columns, dq, dv, dz[0], command[0],
                     )  # fmt: skip
                     if gone_to > step:
                         step = gone_to
@@ -409,8 +371,7 @@ def follow(
                 assign(command[j, step], command[j, step - 1])
                 continue
             control_slopes(
-                laws, j, own, step, excess, rotors[j], dq, dz, fresh, raw, taken, explicit, moved.first, dlimits,
-                command,
+                loop, j, own, step, excess, rotors[j], dq, dz, fresh, raw, taken, explicit, columns, dlimits, command
             )  # fmt: skip
         time = step * period
         for part in range(parts):
@@ -419,6 +380,8 @@ def follow(
                 assign(states[at, 2 * i], dq[i])
                 assign(states[at, 2 * i + 1], dv[i])
             torque_before = drive[0]
+            for j in range(heavy.size):
+                assign(speeds[j, at], dv[heavy[j]])
             for j in range(axes):
                 source = step - lags[j, part]
                 jumps[j] = source != (step - lags[j, part - 1] if part > 0 else step - 1 - lags[j, parts - 1])
@@ -428,7 +391,7 @@ def follow(
             last, edge = row - 1, len(seeds.delays) > 0 and at > 0
             if tree is None:  # noqa: SIM102
                 if straight:
-                    stepped, mode, s = row < last_row and tape[row, PART] == at, int(modes[at]), drive[0]
+                    stepped, mode, s = row < last_row and tape[row, kernels.PART] == at, int(modes[at]), drive[0]
                     jump = (s - torque_before) * rates[mode, 0, 3]
                     if kept[at, 1] == 0.0:  # an edge may tear it loose
                         jump = tape[row, STATE + 2 * nd] if stepped else 0.0
@@ -437,17 +400,15 @@ def follow(
                     edge = False
                     if not filled[mode]:
                         filled[mode] = True
-                        fill_tangent(
+                        affine.fill_tangent(
                             lines, dmass, dspring, mode, lengths, rates, shifted, by, moves,
-                            pushes.reshape((parts * maps, INPUTS, 4, LANES)),
+                            pushes.reshape((maps, inputs, 4, kernels.LANES)),
                         )  # fmt: skip
                     if not stepped:
-                        cross_slopes(in_lanes, moves, pushes, part * MODES + mode, kept, at, s, dtau[0], dq, dv)
-            while row < last_row and tape[row, PART] == at:
-                h = tape[row, LENGTH]
-                for i in range(nd if prescribed else 0):
-                    for c in range(count):
-                        gained[i, c], gone[i, c] = -dv[i, c], 0.0
+                        tangent = part * affine.MODES + mode
+                        affine.cross_slopes(in_lanes, moves, pushes, tangent, kept, at, s, dtau[0], dq, dv)
+            while row < last_row and tape[row, kernels.PART] == at:
+                h = tape[row, kernels.LENGTH]
                 if h > 0.0:
                     _mean_motion(tape, row, nd, mean, change)
                     for i in range(nd):
@@ -457,7 +418,7 @@ def follow(
                         place, speed, turn = mean[_PLACE, :n], mean[_SPEED, :n], mean[_CHANGE, :n]
                         linearised_equations(tree, inertials, place, speed, turn, room, M, K, C)
                     for i in range(nd):
-                        M[i, i] += masses[i, 0, INERTIA]
+                        M[i, i] += masses[i, 0, kernels.INERTIA]
                     _fill_factors(
                         masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, mass, spring,
                         torque, f, k,
@@ -469,13 +430,12 @@ def follow(
                     for i in range(forces):
                         for c in range(count):
                             given[i, c], rate[i, c], turned[i, c] = 0.0, 0.0, 0.0
-                    for i in range(forces):
-                        band, number = int(abs(tape[row, STATE + 5 * nd + ns + i])), WINDING if i < nd else SLIDING
+                        band, number = int(abs(tape[row, at_band + i])), kernels.WINDING if i < nd else kernels.SLIDING
                         _add_seeds(seeds, i, band, i, number, h, f, k, given, rate, turned)
                         for c in range(count if f[_ENTERS, i] != 0.0 or f[_WINDS, i] != 0.0 else 0):
                             given[i, c] += f[_ENTERS, i] * dw[i, c] - f[_WINDS, i] * _stretch(dq, pairs, nd, i, c)
                     for i in range(len(places)):
-                        to = int(places[i, WHERE])
+                        to = int(places[i, kernels.WHERE])
                         _add_seeds(seeds, forces + i, 0, to, -1, h, f, k, given, rate, turned)
                     for j in range(axes if controlled else 0):
                         r = rotors[j]
@@ -496,22 +456,12 @@ def follow(
                     _join(pairs, carriers, f, K, C, x)
                     _move(h, f, inverse, K, C, rows, x)
                     for i in range(forces):
-                        winds = mass[i, WINDING] if i < nd else spring[i - nd, SLIDING]
+                        winds = mass[i, kernels.WINDING] if i < nd else spring[i - nd, kernels.SLIDING]
                         for c in range(count if winds > 0.0 or f[_TURNS, i] != 0.0 else 0):
                             gains = f[_GAINS, i] * _stretch(gone, pairs, nd, i, c) + turned[i, c]
                             dw[i, c] = f[_LEFT, i] * dw[i, c] + gains
                 time += h
-                for i in range(nd if prescribed else 0):
-                    for c in range(count):
-                        bent[i, c] = gained[i, c] + dv[i, c]
-                if tape[row, EVENT] >= 0.0:
-                    _pass_event(tape, row, nd, pairs, seeds, dq, dv, lead)
-                if prescribed:
-                    for i in range(nd):
-                        for c in range(count):
-                            gained[i, c] += dv[i, c]
-                    _add_moved_links(
-                        rotors, ends, M, C, K, h, lengths[part], dq, gone, bent, gained, moved_links[:, at]
-                    )
+                if tape[row, kernels.EVENT] >= 0.0:
+                    _pass_event(tape, row, nd, pairs, heavy, M, seeds, dq, dv, lead, kicks)
                 row += 1
         step += 1
