@@ -1,15 +1,14 @@
 """The search of a robot's parameters: by DIDIM from torques and references, or on the drive side of its motors.
 
-The robot is simulated (`problems.simulated`), and the torque error of all joints is made least by steps with
-derivatives by variation (`solvers.bounded_least_squares`). The joints are weighted by their errors, which are estimated
-anew until they settle; the covariance is robust to autocorrelation (`uncertainty.covariance`). Viscous and Coulomb
-friction are not let below 0. Under its controllers the robot is at rest at the first sample, or moving as its
-references do.
+The robot is simulated (`problems.simulated`), and the torque error of all joints is made least by steps of Levenberg and
+Marquardt with derivatives by variation. The joints are weighted by their errors, which are estimated anew until they
+settle; the covariance is robust to autocorrelation (`uncertainty.covariance`). Viscous and Coulomb friction are not let
+below 0. Under its controllers the robot is at rest at the first sample, or moving as its references do.
 
-**Rigid joints.** From what the inverse model finds on a motion that the records imply, Gauss and Newton's steps settle
-in two or three. Valid for rigid joints, or below about a fifth of the first resonance.
+**Rigid joints** begin at what the inverse model finds on a motion that the records imply. Valid for rigid joints, or
+below about a fifth of the first resonance.
 
-**Flexible joints.** Steps are Levenberg and Marquardt's, with rotors' inertias and stiffnesses on a logarithmic scale:
+**Flexible joints**, with rotors' inertias and stiffnesses on a logarithmic scale:
 
 1. The robot of rigid joints, split into rotors, springs and links (`starts.robot_springs`).
 2. A frequency for each spring, given or the best of a row of them; and a rough descent from there.
@@ -35,22 +34,21 @@ that search begins at the best rigid robot of several delays.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Detail, Progress, ignore_progress
-from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import join, pluralise
-from jointid.estimation.descent import ROUGH, History, law_starts
+from jointid.estimation.descent import ROUGH, History, Solved, law_starts
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.outputs import CONSTANT
 from jointid.estimation.parameters import (
     DELAYS,
     RobotParameters,
@@ -64,14 +62,14 @@ from jointid.estimation.parameters import (
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, pose_robot
 from jointid.estimation.starts.rigid_joint import start_rigid_robot
-from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs
+from jointid.estimation.starts.robot_springs import STIFFEST, SplitRobot
 from jointid.models.controllers import numbers_of
 from jointid.models.robots.robot import Robot, RobotJoint, RobotLoop
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, Numbers, values_of_joint
 from jointid.simulation.simulate import Outcome, motion_at
-from jointid.solvers.solve import LevenbergMarquardt, Solution, Status, damped_step
+from jointid.solvers.solve import LevenbergMarquardt, Status
 from jointid.uncertainty.covariance import Covariance, Influence, white
 from jointid.uncertainty.identifiability import find_separable
 
@@ -83,9 +81,6 @@ _OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at 
 _FALLING = 0.7  # of its error before a step: a descent that is on its way
 _POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
 _SHOWN = 4.0  # standard deviations by which a compliance differs from 0
-_SETTLED = 0.3  # of the noise of a row, squared: a step that changes all rows by less ends the search of rigid joints
-_WEIGHED = 2  # solutions for the first step, each with the sizes of the errors that the one before leaves
-_HALVES = 0.5 ** np.arange(6)  # of a step to a candidate that cannot be simulated
 _COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first descent leads nowhere
 _FIRST = 12  # evaluations of a rough descent, mostly enough
 _ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
@@ -165,19 +160,20 @@ class RobotFit:
         return float(self.values[at]), float(self.covariance.std[at])
 
 
-def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made: int, settled: bool) -> RobotFit:
-    """Return the fit at an end, with the slopes J, (rows, free), not weighted.
+def conclude(end: Solved, made: int, *, springs: bool = True) -> RobotFit:
+    """Return the fit at the end of a search, after so many evaluations; without `springs` it shows none.
 
     Raises:
         MethodError: the robot cannot be simulated there, or explains none of the torque; or a friction that grows with
             the torque is not told from others, see `find_separable`.
     """
+    problem, x, runs = end.problem, end.x, end.problem.run(end.x)
     if (outcome := outcome_of(runs)) is not Outcome.FINISHED:
         raise MethodError(
             f"The search led to where the robot cannot be simulated: {outcome.value}. Record a livelier motion, "
             "name a livelier log first, leave out springs of stiff joints, or declare simpler laws."
         )
-    error = problem.error(runs)
+    error, J = linearise_again(end)
     left = problem.norms(error) / problem.sizes
     if np.all(left > 1.0):
         raise MethodError(
@@ -204,67 +200,25 @@ def conclude(problem: Simulated, x: FloatArray, runs: Runs, J: FloatArray, made:
             "Move faster, record longer, or state the delay in [controller] and do not free it."
         )
     covariance = replace(covariance, std=covariance.std * scales)
-    return RobotFit(problem, x, runs, J, covariance, left, made, settled)
+    fit = RobotFit(problem, x, runs, J, covariance, left, made, end.solution.converged)
+    return replace(fit, springs=tuple(_judge_springs(fit, springs)))
 
 
-class End(NamedTuple):
-    """The end of a descent.
+def _judge_springs(fit: RobotFit, may_show: bool) -> Iterator[SpringVerdict]:
+    """Yield whether the records show the spring of each flexible joint."""
+    for parameter, place in zip(fit.parameters.free, fit.parameters.keys, strict=True):
+        if place.name == "stiffness":
+            stiffness, deviation = fit.value(parameter.name)
+            compliance, spread = 1.0 / stiffness, deviation / stiffness**2
+            shown = may_show and compliance > _SHOWN * spread and math.log(stiffness) < parameter.upper - _OFF
+            least = 1.0 / (compliance + _UNSEEN * spread)
+            yield SpringVerdict(parameter.name.rpartition(".")[0], shown, stiffness, deviation, least)
 
-    Attributes:
-        problem: as the descent weighed it.
-        solution: of that.
-        reach: (free,) how far one step may move each parameter.
-    """
 
-    problem: Simulated
-    solution: Solution
-    reach: FloatArray
-
-    def on(self, problem: Simulated) -> End:
-        """Return the end as one of another problem, as it was weighed."""
-        return self._replace(problem=replace(problem, sigma=self.problem.sigma))
-
-    def linearise(self) -> tuple[FloatArray, FloatArray]:
-        """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
-        weights = self.problem.weights(self.solution.residual.size)
-        return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
-
-    def reweight(self) -> Simulated:
-        """Return the problem with the sizes of the errors that are left."""
-        error, slopes = self.linearise()
-        return self.problem.reweight(error, slopes.shape[1])
-
-    @property
-    def norm(self) -> float:
-        """Of the weighted error that is left."""
-        return float(np.linalg.norm(self.solution.residual))
-
-    @property
-    def may_show(self) -> bool:
-        """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
-        x, known = self.solution.x, white(self.solution.jacobian, self.solution.residual)
-        return any(
-            parameter.quantity is Quantity.STIFFNESS and 0.0 < std < 1.0 / _UNSEEN and value < parameter.upper - _OFF
-            for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
-        )
-
-    @property
-    def leads_on(self) -> bool:
-        """Whether the descent is on its way, or has ended with little of each joint's torque left."""
-        trace = self.solution.trace
-        if not self.solution.converged:
-            return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
-        left = self.problem.norms(self.linearise()[0])
-        return not np.any(left > _POOR * self.problem.sizes)
-
-    def fit(self, made: int) -> RobotFit:
-        """Return the fit after so many evaluations.
-
-        Raises:
-            MethodError: see `conclude`.
-        """
-        x = self.solution.x
-        return conclude(self.problem, x, self.problem.run(x), -self.linearise()[1], made, self.solution.converged)
+def linearise_again(end: Solved) -> tuple[FloatArray, FloatArray]:
+    """Return the error at an end, (rows,), and the slopes of the torques, (rows, free), not weighted."""
+    weights = end.problem.weights(end.solution.residual.size)
+    return end.solution.residual / weights, -end.solution.jacobian / weights[:, np.newaxis]
 
 
 def search_robot(
@@ -296,25 +250,25 @@ def search_robot(
             missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
             several logs along a motion begins in motion.
     """
-    return _Search(setup, records, filtering, settings, dict(known or {}), progress).search()
+    how = settings or (DriveSideFit() if isinstance(setup, RobotDriveSide) else DIDIM())
+    return _Search(setup, records, filtering, how, dict(known or {}), History(progress)).search()
 
 
-class _Search(History):
+@dataclass(slots=True)
+class _Search:
     """The search of a robot, its evaluations counted; see `search_robot` for its arguments."""
 
-    def __init__(
-        self,
-        setup: Any,
-        records: Records,
-        filtering: Filtering | None,
-        settings: DIDIM | DriveSideFit | None,
-        known: dict[str, Parameter],
-        progress: Progress,
-    ) -> None:
-        super().__init__(progress)
-        self.setup, self.robot, self.along = setup, setup.robot, isinstance(setup, RobotDriveSide)
-        self.records, self.filtering, self.known = records, filtering, known
-        self.how: Any = settings or (DriveSideFit() if self.along else DIDIM())
+    setup: Any
+    records: Records
+    filtering: Filtering | None
+    how: Any
+    known: dict[str, Parameter]
+    history: History
+
+    @property
+    def along(self) -> bool:
+        """Whether the motors move as they did."""
+        return isinstance(self.setup, RobotDriveSide)
 
     def pose(
         self, under: Any, through: Filtering | None, freed: Sequence[int] = (), *, rigid: bool = False
@@ -329,43 +283,38 @@ class _Search(History):
 
     def search(self) -> RobotFit:
         """Return the fit: of rigid joints or springs with linear laws, then of free delays and other laws."""
-        robot, how, late, near = self.robot, self.how, tuple[int, ...](), self.setup
+        robot = self.setup.robot
         if self.along:
             robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
+            return self.find_springs(self.setup)
+        late, near = find_free_delays(self.setup, self.how.free), replace(self.setup, robot=robot.linear)
+        if any(robot.flexible):
+            found = self.find_springs(near)
         else:
-            late, near = find_free_delays(near, how.free), replace(near, robot=robot.linear)
-        if self.along or any(robot.flexible):
-            problem = self.pose(near, self.filtering)
-            _require_springs(robot, how.frequencies, problem.sample_time)
-            rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW)
-            found = self.find_springs(problem, rigid)
-            begun = self.along and problem.roughly() is not problem
-            if begun and not any(one.shown for one in found.springs):
-                self.progress("no spring is seen by the beginning of the record; searching along all of it")
-                found = self.find_springs(problem, rigid, whole=True)
-        else:
-            undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
-            ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
-            for one in DELAYS if undeclared else (0.0,):
-                try:
-                    under = with_delays(near, dict.fromkeys(undeclared, one))
-                    ends.append((self.find_rigid(under, self.filtering), under))
-                except MethodError as error:  # no robot is stable with such a delay
-                    failures.append(error)
-            if not ends:
-                raise failures[0]
-            found, near = min(ends, key=lambda end: float(np.linalg.norm(end[0].relative_error)))
-        if self.along or (robot.linear.joints == robot.joints and not late):
-            return found
-        return self.find_laws(found, near, late)
+            found, near = self.find_near_delay(near, late)
+        return self.find_laws(found, near, late) if late or robot.linear.joints != robot.joints else found
+
+    def find_near_delay(self, near: RobotLoop, late: tuple[int, ...]) -> tuple[RobotFit, RobotLoop]:
+        """Return the best rigid robot, and its loop, at several delays where one is free and none is declared."""
+        undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
+        ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
+        for one in DELAYS if undeclared else (0.0,):
+            try:
+                under = with_delays(near, dict.fromkeys(undeclared, one))
+                ends.append((self.find_rigid(under, self.filtering), under))
+            except MethodError as error:  # no robot is stable with such a delay
+                failures.append(error)
+        if not ends:
+            raise failures[0]
+        return min(ends, key=lambda end: float(np.linalg.norm(end[0].relative_error)))
 
     def find_rigid(self, under: Any, through: Filtering | None) -> RobotFit:
-        """Take Gauss-Newton steps until they settle, each joint by the size of its error.
+        """Return the fit of rigid joints.
 
         Raises:
             MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
         """
-        problem, made = self.pose(under, through, rigid=True), 0
+        problem, before = self.pose(under, through, rigid=True), self.history.tally.evaluations
         if self.along:
             # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not,
             # down to what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
@@ -373,62 +322,64 @@ class _Search(History):
             x = np.zeros(len(problem.free))
         else:
             x = start_rigid_robot(problem, under, each_log(self.records)[0])
-        bounds, runs, settled, J = Bounds.of(problem.free), problem.run(x), False, np.zeros((0, x.size))
-        # What no position shows never settles: the integral takes whatever is added.
-        told = [not (problem.integrates and p.name.rpartition(".")[2] in CONSTANT) for p in problem.free]
-        while outcome_of(runs) is Outcome.FINISHED and not settled and made < self.how.evaluations:
-            error, J = problem.error(runs), problem.slopes(runs, x)
-            made += 1
-            for _ in range(_WEIGHED if made == 1 else 1):
-                weights = problem.weights(error.size)
-                slopes = J * weights[:, np.newaxis]
-                step = damped_step(error * weights, -slopes, bounds.shift_to(x))
-                problem = problem.reweight(error - J @ step, x.size)
-            settled = float(np.sum((slopes @ np.where(told, step, 0.0)) ** 2)) <= _SETTLED
-            share = float(np.max(problem.norms(error) / problem.sizes))
-            self.progress(Detail(f"{made}: torque error {100 * share:.4f} % on the worst joint"))
-            tried = ((x + half * step, problem.run(x + half * step)) for half in _HALVES)
-            x, runs = next((one for one in tried if outcome_of(one[1]) is Outcome.FINISHED), (x, runs))
-        return conclude(problem, x, runs, J, made, settled)
+        end = self.settle(problem, self.descend(problem, x, _ROUGH))
+        return conclude(end, self.history.tally.evaluations - before)
 
-    def find_springs(self, problem: Simulated, rigid: RobotFit, *, whole: bool = False) -> RobotFit:
+    def find_springs(self, near: Any) -> RobotFit:
         """Search the flexible robot of the least torque error, from the rigid one below the modes.
 
         Raises:
             MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
         """
+        problem = self.pose(near, self.filtering)
+        _require_springs(near.robot, self.how.frequencies, problem.sample_time)
+        rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW)
         problem = problem.reweight(problem.error(rigid.runs), rigid.x.size)
-        start = StartOfSprings.of(problem if whole else problem.roughly(), rigid, self.robot.names)
-        hertz = self.how.frequencies or start.search(self.progress)
-        problem = bound_springs(problem, start)
-        rough, before = problem if whole else problem.roughly(), self.tally.evaluations
+        found = self.find_springs_from(problem, problem.roughly(), rigid)
+        if self.along and problem.roughly() is not problem and not any(one.shown for one in found.springs):
+            self.history.progress("no spring is seen by the beginning of the record; searching along all of it")
+            found = self.find_springs_from(problem, problem, rigid)
+        return found
+
+    def find_springs_from(self, problem: Simulated, rough: Simulated, rigid: RobotFit) -> RobotFit:
+        """Search the springs of a robot from a rigid one, roughly at first."""
+        history, names, given = self.history, self.setup.robot.names, self.how.frequencies
+        start, before = SplitRobot.of(rough, rigid), history.tally.evaluations
+        hertz = np.array([given.get(name, 0.0) for name in names]) if given else start.search()
+        for i in np.flatnonzero([] if given else hertz):
+            history.progress(f"{names[i]}: its mode is searched from {hertz[i]:.3g} Hz")
+        problem, rough = start.bound(problem), start.bound(rough)
         error = rough.error(rough.runs_of(rigid.numbers))
         without = float(np.linalg.norm(error * rough.weights(error.size)))
-        starts = [start.values(hertz), *(start.all_at(f) for f in _COMMON if f < start.stiff)]
-        end = self._begin(rough, starts[0])
+
+        def begin(hertz: FloatArray | float) -> Solved:
+            return self.descend(rough, rough.parameters.to_search_variables(start.values(hertz)), _ROUGH, _FIRST)
+
+        end = begin(hertz)
         if end.solution.status is Status.NOT_EVALUABLE:
             raise MethodError(
-                f"The robot cannot be simulated where its search begins: {outcome_of(rough.run(end.solution.x)).value}."
-                " Give other frequencies, or a record in which all joints move more."
+                f"The robot cannot be simulated where its search begins: {outcome_of(rough.run(end.x)).value}. "
+                "Give other frequencies, or a record in which all joints move more."
             )
-        for values in starts[1:]:
-            if end.leads_on or end.norm > without:
-                break
-            end = min(end, self._begin(rough, values), key=lambda one: one.norm)
+        for common in _COMMON:
+            if common < start.stiff and not _leads_on(end) and end.norm <= without:
+                end = min(end, begin(common), key=lambda one: one.norm)
         lost = not end.solution.converged and end.norm > without
         if lost:  # no better than without springs: one that has none, or high modes, is found from stiff ones
-            end = self._begin(rough, start.all_at(start.stiff))
-        if not end.may_show or (lost and end.norm > without):
+            end = begin(start.stiff)
+        if not _may_show(end) or (lost and end.norm > without):
             with suppress(MethodError):
-                seen = end.on(problem).fit(self.tally.evaluations - before)
-                return replace(seen, springs=tuple(replace(one, shown=False) for one in _judge_springs(seen)))
-        fit = self._refine(problem, end).fit(self.tally.evaluations - before)
+                seen = self.go_on(replace(problem, sigma=rough.sigma), end, _CLOSE, evaluations=1)
+                seen = seen._replace(solution=replace(seen.solution, status=end.solution.status))
+                return conclude(seen, history.tally.evaluations - before, springs=False)
+        end = self.settle(problem, self.go_on(_reweight(end), end, _CLOSE))
+        fit = conclude(end, history.tally.evaluations - before)
         if np.all(problem.norms(problem.error(fit.runs)) >= problem.norms(problem.error(rigid.runs))):
             raise MethodError(
                 "A robot of rigid joints explains the torque of every joint better than the one that the search of "
                 "springs ended at; leave the springs out of the robot file, or excite their modes by a multisine."
             )
-        return replace(fit, springs=_judge_springs(fit))
+        return fit
 
     def find_laws(self, linear: RobotFit, near: RobotLoop, late: tuple[int, ...]) -> RobotFit:
         """Search the free delays, then the laws that are not linear axis by axis, from the fit with linear ones.
@@ -436,81 +387,93 @@ class _Search(History):
         Raises:
             MethodError: an axis cannot be simulated at any start of its laws, or where the search ends.
         """
-        robot, sigma, before = self.robot, linear.problem.sigma, self.tally.evaluations
-        given = dict(self.known)
+        robot, sigma, history = self.setup.robot, linear.problem.sigma, self.history
+        given, before = dict(self.known), history.tally.evaluations - linear.iterations
         self.known |= {p.name: p for p in linear.parameters.parameters}  # springs have bounds that a search gave them
         values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.numbers
         changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
         for i in (*([-1] if late else []), *changed):
             joints = (*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :]))
             problem = self.pose(replace(near, robot=replace(robot, joints=joints)), self.filtering, late)
-            problem = replace(problem, sigma=sigma)
+            problem, own = replace(problem, sigma=sigma), problem.parameters
             values |= {p.name: p.start for p in problem.free if p.name not in values and p.start is not None}
             starts, what = list[dict[str, float]]([{}]), "delays of the torques"
             if i >= 0:
                 joint = robot.joints[i]
                 starts = _starts_of(joint, i, linear, numbers, given)
                 what = f"laws of {joint.name}"
-            self.progress(f"looking for the {what}, from {pluralise(len(starts), 'start')}")
-            best = min((self._follow(problem, values | start) for start in starts), key=lambda end: end.norm)
+            history.progress(f"looking for the {what}, from {pluralise(len(starts), 'start')}")
+            rough, ends = problem.roughly(), list[Solved]()
+            for start in starts:
+                here = values | start
+                x = own.to_search_variables(np.array([here[p.name] if p.free else p.start for p in own.parameters]))
+                ends.append(history.solve(rough, ROUGH, x))
+            best = min(ends, key=lambda end: end.norm)
             if not best.solution.jacobian.any():
                 raise MethodError(
                     f"The robot cannot be simulated where the search of the {what} begins: "
-                    f"{outcome_of(best.problem.run(best.solution.x)).value}. Declare simpler laws, or state starts of "
+                    f"{outcome_of(rough.run(best.x)).value}. Declare simpler laws, or state starts of "
                     "their parameters."
                 )
-            found = problem.parameters.values(best.solution.x)
-            values, numbers = dict(zip(problem.parameters.names, found, strict=True)), problem.parameters.numbers(found)
-            sigma = best.reweight().sigma
-        fit = self._refine(problem, best).fit(linear.iterations + self.tally.evaluations - before)
-        return replace(fit, springs=_judge_springs(fit))
+            found = own.values(best.x)
+            values, numbers = dict(zip(own.names, found, strict=True)), own.numbers(found)
+            sigma = _reweight(best).sigma
+        end = self.settle(problem, self.go_on(_reweight(best), best, _CLOSE))
+        return conclude(end, history.tally.evaluations - before)
 
     # Descents
 
-    def _begin(self, problem: Simulated, values: FloatArray) -> End:
-        """Descend roughly from values of all parameters."""
-        x, reach = problem.parameters.to_search_variables(values), problem.parameters.reach(values)
-        return self._descend(problem, x, reach, _ROUGH, _FIRST)
+    def descend(
+        self, problem: Simulated, x: FloatArray, aim: tuple[float, float], evaluations: int | None = None
+    ) -> Solved:
+        """Descend to a tolerance, or until a step promises too little, in steps that do not reach far."""
+        tolerance, worth = aim
+        limit, exact = min(evaluations or math.inf, self.how.evaluations), problem.floor / float(np.max(problem.sigma))
+        reach = problem.parameters.reach(problem.parameters.values(x))
+        return self.history.solve(problem, LevenbergMarquardt(tolerance, limit, reach, worth, exact), x)
 
-    def _follow(self, problem: Simulated, start: Mapping[str, float]) -> End:
-        """Descend roughly from values by name as the search of one joint's laws does, away from bounds.
+    def go_on(
+        self, problem: Simulated, end: Solved, aim: tuple[float, float], evaluations: int | None = None
+    ) -> Solved:
+        """Descend from an end, with other weights or simulated finer."""
+        if problem.logs is end.problem.logs:  # it is linearised there
+            error, slopes = linearise_again(end)
+            weights = problem.weights(error.size)
+            self.history.count_evaluations(problem).remember(end.x, error * weights, -slopes * weights[:, np.newaxis])
+        return self.descend(problem, end.x, aim, evaluations)
 
-        Where a bound takes the effect of other parameters away, as a slider without stiffness, steps of Levenberg and
-        Marquardt would end there.
-        """
-        problem, parameters = problem.roughly(), problem.parameters
-        values = np.array([start[p.name] if p.free else p.start for p in parameters.parameters])
-        found = self.solve(problem, ROUGH, parameters.to_search_variables(values))
-        return End(problem, found.solution, parameters.reach(values))
-
-    def _refine(self, problem: Simulated, end: End) -> End:
+    def settle(self, problem: Simulated, end: Solved) -> Solved:
         """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
-        end = self._go_on(end.reweight(), end, _CLOSE)
-        known = end.problem.logs is problem.logs  # else it is simulated finer than that descent was
-        end = end.on(problem)
         for _ in range(_TURNS):
-            weighed = end.reweight()
-            end, known = self._go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size), known=known), True
-            change = np.log(end.reweight().sigma / weighed.sigma)
-            if not end.solution.converged or np.all(np.abs(change) < _STEADY):
+            weighed = replace(problem, sigma=_reweight(end).sigma)
+            end = self.go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size))
+            if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < _STEADY):
                 break
         return end
 
-    def _go_on(self, problem: Simulated, end: End, aim: tuple[float, float], *, known: bool = True) -> End:
-        """Descend from where another descent ended, whose error is `known`, with other weights."""
-        x = end.solution.x
-        if known:
-            error, slopes = end.linearise()
-            weights = problem.weights(error.size)
-            self.count_evaluations(problem).remember(x, error * weights, slopes * weights[:, np.newaxis])
-        return self._descend(problem, x, end.reach, aim, self.how.evaluations)
 
-    def _descend(
-        self, problem: Simulated, x: FloatArray, reach: FloatArray, aim: tuple[float, float], evaluations: int
-    ) -> End:
-        (tolerance, worth), exact = aim, problem.floor / float(np.max(problem.sigma))
-        solver = LevenbergMarquardt(tolerance, min(evaluations, self.how.evaluations), reach, worth, exact)
-        return End(problem, self.solve(problem, solver, x).solution, reach)
+def _reweight(end: Solved) -> Simulated:
+    """Return the problem of an end with the sizes of the errors that are left."""
+    problem: Simulated = end.problem
+    return problem.reweight(linearise_again(end)[0], end.x.size)
+
+
+def _may_show(end: Solved) -> bool:
+    """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
+    known = white(end.solution.jacobian, end.solution.residual)
+    return any(
+        parameter.quantity is Quantity.STIFFNESS and 0.0 < std < 1.0 / _UNSEEN and value < parameter.upper - _OFF
+        for parameter, std, value in zip(end.problem.free, known.std, end.x, strict=True)
+    )
+
+
+def _leads_on(end: Solved) -> bool:
+    """Whether a descent is on its way, or has ended with little of each joint's torque left."""
+    trace = end.solution.trace
+    if not end.solution.converged:
+        return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
+    left = end.problem.norms(linearise_again(end)[0])
+    return not np.any(left > _POOR * end.problem.sizes)
 
 
 # Springs
@@ -531,19 +494,6 @@ def _require_springs(robot: Robot, frequencies: Mapping[str, float], sample_time
             f"record of this sample time shows something; received {dict(frequencies)}: correct it, or give none at "
             "all to have them searched."
         )
-
-
-def _judge_springs(fit: RobotFit) -> tuple[SpringVerdict, ...]:
-    """Return whether the records show the spring of each flexible joint."""
-    found = []
-    for parameter, place in zip(fit.parameters.free, fit.parameters.keys, strict=True):
-        if place.name == "stiffness":
-            stiffness, deviation = fit.value(parameter.name)
-            compliance, spread = 1.0 / stiffness, deviation / stiffness**2
-            shown = compliance > _SHOWN * spread and math.log(stiffness) < parameter.upper - _OFF
-            least = 1.0 / (compliance + _UNSEEN * spread)
-            found.append(SpringVerdict(parameter.name.rpartition(".")[0], shown, stiffness, deviation, least))
-    return tuple(found)
 
 
 def _starts_of(

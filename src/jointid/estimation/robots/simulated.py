@@ -12,6 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Bounds, Parameter
+from jointid.estimation.descent import Solved
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.parameters import (
@@ -31,6 +32,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, LOG_DELAY, Numbers, robot_with
+from jointid.solvers.solve import LevenbergMarquardt, solve
 
 _NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
@@ -235,5 +237,4 @@ def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Fil
     found = pose_robot(part.setup, records, part.parameters, filtering)
     problem = replace(found, parameters=part.parameters)  # with those of the record
     x = part.parameters.to_search_variables(part.values)
-    runs = problem.run(x)
-    return conclude(problem, x, runs, problem.slopes(runs, x), 0, True)
+    return conclude(Solved(problem, solve(problem, LevenbergMarquardt(evaluations=1), x)), 0)

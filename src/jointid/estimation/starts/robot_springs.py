@@ -7,7 +7,6 @@ it, and each spring is given a frequency of rotor against link.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.estimation.parameters import RobotParameters
@@ -42,23 +40,21 @@ _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is searched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StartOfSprings:
-    """The rigid robot split into rotors, springs and links.
+class SplitRobot:
+    """A rigid robot split into rotors, springs and links.
 
     Attributes:
-        problem: of the flexible robot. names: of its joints.
+        problem: of the flexible robot.
         split: (parameters,) all but the springs.
-        rotors, links: (n,) inertias of the rotors, and of the links about the joints.
+        reduced: (n,) inertias that swing on the springs of free joints.
     """
 
     problem: Simulated
-    names: tuple[str, ...]
     split: FloatArray
-    rotors: FloatArray
-    links: FloatArray
+    reduced: FloatArray
 
     @classmethod
-    def of(cls, problem: Simulated, rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
+    def of(cls, problem: Simulated, rigid: RobotFit) -> SplitRobot:
         """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
 
         Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors.
@@ -99,59 +95,59 @@ class StartOfSprings:
             values = np.maximum(began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms, lower)
             rotors = wanted.copy()
             rotors[joints] = values[own]
-            start = cls(problem, names, parameters.fill(values), rotors, np.maximum(about - rotors, _LIGHTEST * about))
-            stiff = parameters.to_search_variables(start.all_at(start.stiff))
+            links = np.maximum(about - rotors, _LIGHTEST * about)
+            start = cls(problem, parameters.fill(values), rotors * links / (rotors + links))
+            stiff = parameters.to_search_variables(start.values(start.stiff))
             if outcome_of(problem.run(stiff, keep=False)) is Outcome.FINISHED:
                 break
         return start
-
-    @property
-    def reduced(self) -> FloatArray:
-        """Inertias that swing on the springs of free joints, (n,)."""
-        return self.rotors * self.links / (self.rotors + self.links)
 
     @property
     def stiff(self) -> float:
         """The frequency at which a flexible joint is as good as rigid, Hz."""
         return _STIFF / self.problem.sample_time
 
-    def all_at(self, frequency: float) -> FloatArray:
-        """Return all parameters with one frequency of all springs."""
-        return self.values(dict.fromkeys(self.names, frequency))
-
-    def values(self, hertz: Mapping[str, float]) -> FloatArray:
-        """Return all parameters with springs of these frequencies, (parameters,)."""
-        values = self.split.copy()
+    def values(self, hertz: FloatArray | float) -> FloatArray:
+        """Return all parameters, (parameters,), with springs of these frequencies, (n,) or one for all."""
+        values, each = self.split.copy(), np.broadcast_to(hertz, self.reduced.shape)
         for c, place in enumerate(self.problem.parameters.places):
             if place.name in ("stiffness", "damping"):
-                spring = spring_at(hertz[self.names[place.axis]], float(self.reduced[place.axis]), _DAMPING)
-                values[c] = spring[place.name]
+                values[c] = spring_at(each[place.axis], self.reduced[place.axis], _DAMPING)[place.name]
         return values
 
-    def search(self, progress: Progress) -> dict[str, float]:
-        """Return a frequency for each flexible joint: of a row that with which its own torque is explained best.
+    def search(self) -> FloatArray:
+        """Return a frequency for each joint, (n,): of a row that with which its own torque is explained best.
 
         All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
-        what it does to its own, and a run for each joint and frequency would take as many times as long.
+        what it does to its own, and a run for each joint and frequency would take as many times as long. Of a joint
+        without a spring it is 0.
         """
-        sample_time = self.problem.sample_time
-        row = [f for f in _MODES if f < _STIFF / sample_time]
+        problem = self.problem
+        row = [f for f in _MODES if f < self.stiff]
         if not row:
             raise MethodError(
-                f"Modes are searched from {_MODES[0]:g} Hz on, which records of {sample_time:g} s a sample do not show;"
-                " log faster, or leave the springs out."
+                f"Modes are searched from {_MODES[0]:g} Hz on, which records of {problem.sample_time:g} s a sample do "
+                "not show; log faster, or leave the springs out."
             )
 
         def costs(frequency: float) -> FloatArray:
-            values = self.problem.parameters.to_search_variables(self.all_at(frequency))
-            return self.problem.norms(self.problem.residual(values))
+            return problem.norms(problem.residual(problem.parameters.to_search_variables(self.values(frequency))))
 
-        flexible = np.flatnonzero(self.problem.parameters.base.flexible)
-        lowest = np.argmin(in_threads(costs, row), axis=0)
-        best = {self.names[i]: row[lowest[i]] for i in flexible}
-        for name, f in best.items():
-            progress(f"{name}: its mode is searched from {f:.3g} Hz")
-        return best
+        return np.where(problem.parameters.base.flexible, np.take(row, np.argmin(in_threads(costs, row), axis=0)), 0.0)
+
+    def bound(self, problem: Simulated) -> Simulated:
+        """Return the problem with bounds on each spring."""
+        lowest, highest = (share / problem.sample_time for share in (_SOFTEST, STIFFEST))
+
+        def within(place: Place, parameter: Parameter) -> Parameter:
+            if parameter.quantity is not Quantity.STIFFNESS:
+                return parameter
+            softest, stiffest = (spring_at(f, self.reduced[place.axis])["stiffness"] for f in (lowest, highest))
+            return replace(parameter, lower=math.log(softest), upper=math.log(stiffest))
+
+        own = problem.parameters
+        bounded = tuple(within(place, one) for place, one in zip(own.places, own.parameters, strict=True))
+        return replace(problem, parameters=replace(own, parameters=bounded))
 
 
 def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> FloatArray:
@@ -172,19 +168,3 @@ def _stiffen(values: FloatArray, parameters: RobotParameters, rigid: RobotFit) -
         link = own.get("load_viscous", 0.0)  # the link's own friction is the same in both directions
         each.append(both | {name: both[name] + link for name in both if name.startswith("viscous_")})
     return rigid.parameters.group(replace(base, values=tuple(each), inertials=found.inertials))[: len(rigid.x)]
-
-
-def bound_springs(problem: Simulated, start: StartOfSprings) -> Simulated:
-    """Return the problem with bounds on each spring."""
-    lowest, highest = (share / problem.sample_time for share in (_SOFTEST, STIFFEST))
-
-    def within(place: Place, parameter: Parameter) -> Parameter:
-        if parameter.quantity is not Quantity.STIFFNESS:
-            return parameter
-        inertia = float(start.reduced[place.axis])
-        ends = [math.log(spring_at(hertz, inertia)["stiffness"]) for hertz in (lowest, highest)]
-        return replace(parameter, lower=ends[0], upper=ends[1])
-
-    own = problem.parameters
-    bounded = tuple(within(place, one) for place, one in zip(own.places, own.parameters, strict=True))
-    return replace(problem, parameters=replace(own, parameters=bounded))
