@@ -1,9 +1,9 @@
 """The search of a robot's parameters: by DIDIM from torques and references, or on the drive side of its motors.
 
-The robot is simulated (`problems.simulated`), and the torque error of all joints is made least by steps of Levenberg and
-Marquardt with derivatives by variation. The joints are weighted by their errors, which are estimated anew until they
-settle; the covariance is robust to autocorrelation (`uncertainty.covariance`). Viscous and Coulomb friction are not let
-below 0. Under its controllers the robot is at rest at the first sample, or moving as its references do.
+The robot is simulated (`problems.simulated`), and the torque error of all joints is made least by steps of Levenberg
+and Marquardt with derivatives by variation. The joints are weighted by their errors, which are estimated anew until
+they settle; the covariance is robust to autocorrelation (`uncertainty.covariance`). Viscous and Coulomb friction are
+not let below 0. Under its controllers the robot is at rest at the first sample, or moving as its references do.
 
 **Rigid joints** begin at what the inverse model finds on a motion that the records imply. Valid for rigid joints, or
 below about a fifth of the first resonance.

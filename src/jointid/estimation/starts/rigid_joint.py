@@ -16,11 +16,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
-from jointid.common.parameters import Bounds
+from jointid.common.parameters import Bounds, Parameter
+from jointid.estimation.descent import Solved
 from jointid.estimation.methods.idim import solve_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.problems.inverse_model import (
-    MeasuredMotion,
+    Inverse,
     inverse_of_joint,
     inverse_of_robot,
     motion_along,
@@ -34,7 +35,7 @@ from jointid.solvers.solve import LevenbergMarquardt, solve
 
 if TYPE_CHECKING:
     from jointid.estimation.problems.simulated import Simulated
-    from jointid.models.robots.robot import Robot, RobotLoop
+    from jointid.models.robots.robot import RobotLoop
 
 _BORDERS, _SHORT = 50, 500  # samples at each end of a motion that is a guess, of more than so many
 _REWEIGHTINGS = 2
@@ -64,9 +65,8 @@ def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[st
 
 def inversion_start(problem: ClosedLoopProblem) -> dict[str, float]:
     """Return a start by IDIM on the reconstructed position."""
-    position, command, axis = reconstructed_position(problem), command_of(problem), problem.axis
-    acting = command + axis.after_limit[:: axis.clock.skips][: command.size]
-    found = _regress(problem, acting, position, axis.law.delay)
+    torque, position = _turn_round(problem)
+    found = _regress_joint(problem, torque, position, problem.axis.law.delay)
     return _apply_fixed_values(problem, found | first_state(problem, position))
 
 
@@ -76,7 +76,7 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
     periods = experiment.clock.log_index // experiment.clock.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
     torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
-    tracked = _regress(problem, torque, reference)
+    tracked = _regress_joint(problem, torque, reference, 0.0)
     known = next(p for p in problem.parameters if p.name == "inertia")
     nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
     regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
@@ -94,25 +94,8 @@ def fit_initial_state(problem: ClosedLoopProblem) -> FloatArray:
     except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
         start = {"initial_position": float(problem.axis.inputs[0, 0]), "initial_velocity": 0.0}
     both, solver = (problem.keeping({"initial_velocity": 0.0}), problem), LevenbergMarquardt(1e-9, _EVALUATIONS)
-    ends = [(p, solve(p, solver, p.vector(start))) for p in both]
-    which, best = min(ends, key=lambda end: float(np.linalg.norm(end[1].residual)))
-    return problem.vector(which.values(best.x))
-
-
-def _regress(
-    problem: ClosedLoopProblem, torque: FloatArray, position: FloatArray, delay: float = 0.0
-) -> dict[str, float]:
-    """Return the parameters by IDIM on a motion, (samples,)."""
-    motion = _guess_motion(problem, torque[:, np.newaxis], position[:, np.newaxis], [delay])
-    cutoff = motion.filtering.position_cutoff
-    assert cutoff is not None
-    # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
-    weights = steady_weights(motion.v[:, 0], cutoff, motion.sample_time)[1]
-    if np.mean(weights) >= _MOST:  # else what is left tells less than what friction at rest bends
-        motion = replace(motion, moving=weights[:, np.newaxis])
-    rows = inverse_of_joint(problem.joint).rows([motion])
-    found = solve_rows(rows, "ols", {p.name: p for p in problem.parameters if not p.free})
-    return dict(zip(rows.names, map(float, found.values), strict=True))
+    ends = [Solved(p, solve(p, solver, p.vector(start))) for p in both]
+    return problem.vector(min(ends, key=lambda end: end.norm).values)
 
 
 def _apply_fixed_values(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
@@ -120,17 +103,49 @@ def _apply_fixed_values(problem: ClosedLoopProblem, values: Mapping[str, float])
     return {**values, **{p.name: p.start or 0.0 for p in problem.parameters if not p.free}}
 
 
-def _guess_motion(
-    problem: ClosedLoopProblem | Simulated, torques: FloatArray, positions: FloatArray, delays: Sequence[float]
-) -> MeasuredMotion:
-    """Return the motion through guessed positions, (samples, n), whose ends are left out."""
+def _regress_joint(
+    problem: ClosedLoopProblem, torque: FloatArray, position: FloatArray, delay: float
+) -> dict[str, float]:
+    """Return a joint's parameters by IDIM on a motion, (samples,)."""
+    inverse, parameters = inverse_of_joint(problem.joint), problem.parameters
+    found = _regress(problem, inverse, parameters, torque[:, np.newaxis], position[:, np.newaxis], [delay])
+    return dict(zip(inverse.names, map(float, found), strict=True))
+
+
+def _regress(
+    problem: Simulated,
+    inverse: Inverse,
+    parameters: Sequence[Parameter],
+    torques: FloatArray,
+    positions: FloatArray,
+    delays: Sequence[float],
+    coupling: FloatArray | None = None,
+) -> FloatArray:
+    """Return the parameters by IDIM on guessed motions of the motors, (samples, n), whose ends are left out."""
     borders = _BORDERS if len(torques) > _SHORT else 0
     filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
     held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
-    return motion_along(held, positions, filtering, delays)
+    motion = motion_along(held, positions, filtering, delays)
+    cutoff = motion.filtering.position_cutoff
+    assert cutoff is not None
+    # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
+    weights = np.column_stack([steady_weights(v, cutoff, motion.sample_time)[1] for v in motion.v.T])
+    if np.mean(weights) >= _MOST:  # else what is left tells less than what friction at rest bends
+        motion = replace(motion, moving=weights)
+    if coupling is not None:
+        joints = np.linalg.inv(coupling).T
+        motion = replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
+    fixed = {p.name: p for p in parameters if not p.free}
+    return solve_rows(inverse.rows([motion]), "weighted", fixed, turns=_REWEIGHTINGS).values
 
 
 # The controller turned round
+
+
+def _turn_round(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
+    """Return the torque that acted, (samples,), and the motor position that the controller must have seen."""
+    command, axis = command_of(problem), problem.axis
+    return command + axis.after_limit[:: axis.clock.skips][: command.size], reconstructed_position(problem)
 
 
 def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
@@ -166,21 +181,18 @@ def command_of(problem: ClosedLoopProblem) -> FloatArray:
         MethodError: the log does not show each output once at most.
     """
     experiment = problem.axis
-    whole = np.all(experiment.clock.lags == experiment.clock.lags[0, 0])
+    clock, whole = experiment.clock, np.all(experiment.clock.lags == experiment.clock.lags[0, 0])
     averaged, measured = experiment.timing is Timing.AVERAGED, experiment.tap is Tap.MEASURED
-    if (
-        experiment.clock.shows > 1
-        or ((averaged or measured) and experiment.clock.skips > 1)
-        or (averaged and measured and not whole)
-    ):
+    parted = (averaged or measured) and clock.skips > 1
+    if clock.shows > 1 or parted or (averaged and measured and not whole):
         raise MethodError(
             "The controller can be turned round only when the log shows the output of its periods, each once at most."
         )
     # A measured torque shows an output when it acts, an averaged one when its period is over.
-    late = int(averaged) + (int(experiment.clock.lags[0, 0]) if measured else 0)
+    late = int(averaged) + (int(clock.lags[0, 0]) if measured else 0)
     output = np.concatenate([problem.measured[late:], np.full(late, problem.measured[-1])])
     added = experiment.after_limit if measured else experiment.logged
-    return np.asarray(output - added[:: experiment.clock.skips][: output.size])
+    return np.asarray(output - added[:: clock.skips][: output.size])
 
 
 def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, float]:
@@ -196,57 +208,40 @@ def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, f
 
 
 def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Record]) -> FloatArray:
-    """Return the start of a search: the inverse model on the motion that the controllers saw.
+    """Return the start of a search, (free,): the inverse model on the motion that the controllers saw.
 
     Where a controller cannot be turned round, the commanded motion is taken. A start of regular inertias is not tried:
     M(q) of one may not be positive definite in a pose.
     """
-    log, failures = problem.log, list[str]()
-    clock = log.experiment.clock
-    commanded = log.experiment.references[clock.log_index // clock.lengths.size]
-    for name, read in (("inversion", _reconstruct), ("reference", lambda *_: (log.measured, commanded))):
+    log, parameters, failures = problem.log, problem.parameters, list[str]()
+    experiment, inverse = log.experiment, inverse_of_robot(loop.robot, problem.parameters)
+    commanded = experiment.references[experiment.clock.log_index // experiment.clock.lengths.size]
+    delays = [one.law.delay for one in experiment.axes]
+    for name in ("inversion", "reference"):
+        torques, positions = log.measured.copy(), commanded.copy()
         try:
-            x = _regress_robot(problem, loop.robot, *read(problem, loop, records, commanded))
+            for j, (link, controller, record) in enumerate(
+                zip(loop.robot.links, loop.controllers, records, strict=True)
+            ):
+                # Of a slow controller the log shows each output many times.
+                if name == "inversion" and experiment.axes[j].clock.shows == 1:
+                    joint = RigidJoint(link.kind)
+                    alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
+                    torques[:, j], positions[:, j] = (one[: len(torques)] for one in _turn_round(alone))
+            coupling = loop.robot.coupling
+            found = _regress(problem, inverse, parameters.parameters, torques, positions, delays, coupling)
         except MethodError as error:
             failures.append(str(error))
             continue
-        outcome = log.run(problem.parameters.numbers(problem.parameters.values(x)), keep=False).outcome
+        x = Bounds.of(problem.free).clip(found[: len(problem.free)])
+        outcome = log.run(problem.numbers(x), keep=False).outcome
         if outcome is Outcome.FINISHED:
             return x
         failures.append(f"at the {name} start {outcome.value}.")
-    alone = ", in SI units and not in a drive's whole numbers," if any(one.computed for one in records) else ","
+    units = ", in SI units and not in a drive's whole numbers," if any(one.computed for one in records) else ","
     raise MethodError(
         "The robot cannot be simulated where its search begins: "
         + " ".join(failures)
-        + f" Check the controllers' gains{alone} and their period where "
+        + f" Check the controllers' gains{units} and their period where "
         "they run faster than the log, the signs and units of torques and references, and the joints' places."
     )
-
-
-def _reconstruct(
-    problem: Simulated, loop: RobotLoop, records: Sequence[Record], commanded: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
-    log, positions = problem.log, commanded.copy()
-    torques = log.measured.copy()
-    for j, (link, controller, record) in enumerate(zip(loop.robot.links, loop.controllers, records, strict=True)):
-        if log.experiment.axes[j].clock.shows > 1:  # the log shows each output of this slow controller many times
-            continue
-        joint = RigidJoint(link.kind)
-        alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
-        torques[:, j] = command_of(alone)[: len(torques)]
-        positions[:, j] = reconstructed_position(alone)[: len(torques)]
-    return torques, positions
-
-
-def _regress_robot(problem: Simulated, robot: Robot, torques: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return the inverse model's weighted estimate on a motion, within bounds."""
-    delays = [one.law.delay for one in problem.log.experiment.axes]
-    motion, joints = _guess_motion(problem, torques, positions, delays), np.linalg.inv(robot.coupling).T
-    parameters = problem.parameters
-    motion = replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
-    rows = inverse_of_robot(robot, parameters).rows([motion])
-    found = solve_rows(
-        rows, "weighted", {one.name: one for one in parameters.parameters if not one.free}, turns=_REWEIGHTINGS
-    )
-    return Bounds.of(problem.free).clip(found.values[: len(problem.free)])
