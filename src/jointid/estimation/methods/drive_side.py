@@ -39,7 +39,7 @@ from jointid.estimation.problems.simulated import MotionLog
 from jointid.estimation.result.build_result import build_estimate, find_active_bounds, rows_of_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Settings
-from jointid.estimation.starts.flexible_joint import FASTEST, SpringSearch, rigid_cutoff, row_of_frequencies
+from jointid.estimation.starts.flexible_joint import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
@@ -194,8 +194,8 @@ def _search_spring(record: Record, joint: FlexibleJoint, problem: ClosedLoopProb
     rigid = motion_problem(record, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, _ROUGHLY, history).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))
-    search = SpringSearch(problem, problem.filtering, _TOLERANCE, history)
-    return history.finish(search.refine(search.explore(values, row)), _TOLERANCE)
+    found = search_spring(problem, values, row, problem.filtering, _TOLERANCE, history)
+    return history.finish(found, _TOLERANCE)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, tolerance: float, history: History) -> Solved:

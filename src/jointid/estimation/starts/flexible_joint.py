@@ -17,21 +17,21 @@ The drive side has no loop: its grid is measured by the cut-off, and it ends wit
 
 import contextlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
-from operator import attrgetter
-from typing import Any, NamedTuple
+from operator import attrgetter, itemgetter
+from typing import Any
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
+from jointid.common.parameters import ADDED, Parameter, Quantity
 from jointid.common.transmission import SIDES
-from jointid.estimation.descent import ROUGH, History, Solved, is_significant, least_squares, search_rigid_joint
+from jointid.estimation.descent import ROUGH, History, Solved, is_significant, search_rigid_joint
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.parameters import INITIAL, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -40,6 +40,7 @@ from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, split_by_mode
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.solvers.solve import LevenbergMarquardt, solve
 
 FASTEST = 0.22
 """Of the sampling frequency: a mode faster than about a fifth is not followed by the log."""
@@ -53,18 +54,15 @@ _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer the
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
 _LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tried where no rigid joint is found
 
-_LOWEST, _HIGHEST = 0.5, 12.0  # times the crossover: the modes that are searched
-_RATIO = 1.25  # of neighbouring frequencies of the grid
-_HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
-_FAR_BELOW, _FAR_ABOVE, _WIDE_COUNT = 0.2, 4.0, 10  # times the crossover: the modes of the wide grid
-_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0)  # of that grid, times the rigid joint's
-_WIDE_SHARES = (0.15, 0.5, 0.85)  # of the load in them
+# Times the crossover, the lowest and the highest mode of a grid, and the most between two neighbours.
+_MODES, _WIDE_MODES = (0.5, 12.0, 1.25), (0.2, 4.0, 1.4)
+_SHARES, _WIDE_SHARES = (0.25, 0.5, 0.75), (0.15, 0.5, 0.85)  # of the load in the inertia
+_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0)  # of the wide grid, times the rigid joint's
 _LITTLE = 0.1  # of the torque: an end that leaves more may be a false minimum
-_NARROWED = 3  # frequencies at which other shares are tried
 _UNSTABLE = 10.0  # times the torque: what a loop that is as good as unstable leaves
 
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
-_MODES = 2.0  # the cut-off is that many free-free frequencies, or more
+_BAND = 2.0  # the cut-off is that many free-free frequencies, or more
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _BESIDE = 3  # restarts near an end that no second start led to
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
@@ -72,19 +70,9 @@ _BESIDE = 3  # restarts near an end that no second start led to
 _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER = 1e-3  # of what remains: so much less is further down
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
-_IDLE = 1e-8  # of the largest singular value: smaller ones are those of parameters that change nothing
+_STEP = LevenbergMarquardt(evaluations=2)
 _MOVES = 0.05  # of the reference's largest speed: at more the motor moves at the first sample
 _REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
-
-_cost = attrgetter("cost")
-
-
-class Candidate(NamedTuple):
-    """A joint: its cost, infinite where the loop is as good as unstable; its free-free frequency, Hz; its values."""
-
-    cost: float
-    frequency: float
-    values: dict[str, float]
 
 
 # Under a controller
@@ -109,34 +97,29 @@ def search_flexible_joint(
     Raises:
         MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
     """
-    rough = None
+    rough, rigid = None, dict[str, float]()
     try:
         rough = rough_rigid_joint(task, history)
         rigid = {p.name: rough.values[p.name] for p in rough.problem.joint.parameters}
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
         history.progress(Detail(error, "starting from a joint that follows its reference"))
-        rigid = _follow_reference(task)
-    resting, moving = SpringSearch(problem, task.filtering, tolerance, history), _find_motion(problem, rough)
+    motion = _find_motion(problem, rough)
 
     def search_about(joint: Mapping[str, float], widely: bool) -> Solved:
-        law, sample_time = problem.axis.law, problem.sample_time
-        row = [frequency] if frequency else frequencies_to_try(law, joint["inertia"], sample_time)
-        if widely:
-            middle = crossover(law, joint["inertia"])
-            row = list(np.geomspace(_FAR_BELOW * middle, min(_FAR_ABOVE * middle, FASTEST / sample_time), _WIDE_COUNT))
-        found = resting.refine(resting.explore(joint, row, widely=widely))
-        if moving is None:
+        modes = frequencies_to_try(problem.axis.law, joint["inertia"], problem.sample_time, widely)
+        row = [frequency] if frequency else modes
+        found = search_spring(problem, joint, row, task.filtering, tolerance, history, widely)
+        if motion is None:
             return found
         # From an end at rest no descent leads to one that moves.
-        started = problem.replace_parameters({p.name: replace(p, start=moving[p.name]) for p in INITIAL_STATE})
-        other = replace(resting, problem=started)
-        end = other.refine(other.explore(joint, row, widely=widely))
+        moving = problem.replace_parameters({p.name: replace(p, start=motion[p.name]) for p in INITIAL_STATE})
+        end = search_spring(moving, joint, row, task.filtering, tolerance, history, widely)
         return end if is_significant(found, end, history) else found
 
     ends, failures = list[tuple[float, Solved]](), list[MethodError]()
-    for follows, widely in ((False, False),) if frequency else ((False, False), (False, True), (True, True)):
+    for joint, widely in ((rigid, False), (rigid, True), ({}, True))[: 1 if frequency else None]:
         try:
-            found = search_about(_follow_reference(task) if follows else rigid, widely)
+            found = search_about(joint or _follow_reference(task), widely)
         except MethodError as error:
             failures.append(error)
             continue
@@ -223,137 +206,123 @@ def crossover(law: SampledLaw, inertia: float) -> float:
     return float(hertz[above[-1]] if above.size else hertz[0])
 
 
-def frequencies_to_try(law: SampledLaw, inertia: float, sample_time: float) -> list[float]:
+def frequencies_to_try(law: SampledLaw, inertia: float, sample_time: float, widely: bool = False) -> list[float]:
     """Return free-free frequencies in Hz, from below the crossover to where a log cannot follow, slow ones first."""
-    middle = crossover(law, inertia)
-    return row_of_frequencies(_LOWEST * middle, min(_HIGHEST * middle, FASTEST / sample_time))
+    middle, (low, high, ratio) = crossover(law, inertia), _WIDE_MODES if widely else _MODES
+    return row_of_frequencies(low * middle, min(high * middle, FASTEST / sample_time), ratio)
 
 
-def row_of_frequencies(low: float, high: float) -> list[float]:
-    """Return the frequencies of a grid, Hz, slow ones first."""
-    count = max(math.ceil(math.log(max(high / low, 1.0)) / math.log(_RATIO)) + 1, 2)
+def row_of_frequencies(low: float, high: float, ratio: float = 1.25) -> list[float]:
+    """Return frequencies, Hz, of which no two neighbours have a larger ratio, slow ones first."""
+    count = max(math.ceil(math.log(max(high / low, 1.0)) / math.log(ratio)) + 1, 2)
     return [float(f) for f in np.geomspace(min(low, high), high, count)]
 
 
 def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:
     """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode.
 
-    What seems to be a mode too fast for the log is none, and no reason to look at more than by default.
+    What seems to be a mode too fast for the log is none, and no reason to look at more than by default. A cut-off that
+    is asked for stays.
     """
+    if filtering.cutoff:
+        return problem
     sample_time = problem.sample_time
     if FASTEST / sample_time < mode < math.inf:
         mode = 0.0
     default = Filtering().resolve(sample_time, "flexible").cutoff
     assert default is not None
-    cutoff = min(max(default, _MODES * mode), _WIDE / sample_time)
+    cutoff = min(max(default, _BAND * mode), _WIDE / sample_time)
     return problem.with_log(filtering=replace(filtering, cutoff=cutoff).resolve(sample_time, "flexible"))
 
 
 # Under a controller, or along a motion
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SpringSearch:
-    """The search among flexible joints, from a rigid one.
+def search_spring(
+    problem: ClosedLoopProblem,
+    rigid: Mapping[str, float],
+    row: Sequence[float],
+    filtering: Filtering,
+    tolerance: float,
+    history: History,
+    widely: bool = False,
+) -> Solved:
+    """Return the best flexible joint from a grid of starts, see the module.
 
     Where no filter's cut-off is asked for, it follows the mode: the exploration sees the whole band of the log, a rough
     descent twice the frequency it starts from; the last descent is on the band of the mode that was found.
 
-    Attributes:
+    Args:
         problem: of the joint, under its controller or along the motion of its motor.
+        rigid: values of a rigid joint.
+        row: free-free frequencies to start from, Hz.
         filtering: that is asked for.
         tolerance: of the parameters and the criterion.
         history: of the search.
+        widely: whether other inertias are tried, too: a mode inside the bandwidth makes the rigid joint another one.
+
+    Raises:
+        MethodError: no start can be simulated.
     """
-
-    problem: Any
-    filtering: Filtering
-    tolerance: float
-    history: History
-
-    def _on_band(self, mode: float) -> Any:
-        """Return the problem with the given cut-off, or else with one suited to a mode frequency."""
-        return self.problem if self.filtering.cutoff else on_band(self.problem, self.filtering, mode)
-
-    def explore(self, rigid: Mapping[str, float], row: Sequence[float], *, widely: bool = False) -> list[Candidate]:
-        """Judge a row of frequencies with the values of a rigid joint; return the candidates, best first.
-
-        A mode inside the bandwidth makes the rigid joint another one: `widely` tries other inertias and shares, too.
-
-        Raises:
-            MethodError: no start can be simulated.
-        """
-        problem, inertia = self._on_band(math.inf), rigid["inertia"]
-        every = product(_INERTIAS, _WIDE_SHARES, row) if widely else product((1.0,), (_HALF,), row)
-        joints = (({**rigid, "inertia": times * inertia}, f, share) for times, share, f in every)
-        grid = self._judge((f, start_with_mode(problem, one, f, share)) for one, f, share in joints)
-        if not widely:
-            best = [one.frequency for one in sorted(grid, key=_cost)[:_NARROWED]]
-            grid += self._judge((f, start_with_mode(problem, rigid, f, s)) for f in best for s in _SHARES)
-            if len(row) > 1:  # at frequencies apart: a start beside another leads nowhere new
-                grid = [min((one for one in grid if one.frequency == f), key=_cost) for f in row]
-        found = [one for one in sorted(grid, key=_cost) if one.cost < math.inf]
-        if not found:
-            raise MethodError(
-                "No start could be simulated: every flexible joint tried makes this loop unstable; check the "
-                "controller's gains, its delay and the unit of the torque."
-            )
-        self.history.progress(f"searching from a mode near {found[0].frequency:.3g} Hz, the best of {len(grid)}")
-        given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in INITIAL}
-        if given and not widely:  # starts that come with the parameters are tried first, and no reason to try no others
-            own = found[0].values | given
-            found = [Candidate(0.0, frequency_of(own), own), *found]
-        return found
-
-    def _judge(self, starts: Iterable[tuple[float, dict[str, float]]]) -> list[Candidate]:
-        """Simulate starts, free-free frequency and values, in threads, and return them with their costs."""
-        problem, tried = self._on_band(math.inf), list(starts)
-        most = _UNSTABLE * problem.size
-
-        def judge(start: tuple[float, dict[str, float]]) -> Candidate:
-            cost = float(np.linalg.norm(problem.residual(problem.vector(start[1]))))
-            return Candidate(cost if cost < most else math.inf, *start)
-
-        self.history.tally.evaluations += len(tried)
-        return in_threads(judge, tried)
-
-    def refine(self, candidates: Sequence[Candidate]) -> Solved:
-        """Descend from candidates until two ends agree, look beside the best, and go on to the full tolerance."""
-        wide, history = self._on_band(math.inf), self.history
-        ends, together = list[tuple[float, float, FloatArray]](), 0
-        for candidate in candidates[:_REFINED]:
-            on = self._on_band(candidate.frequency)
-            x = history.solve(on, ROUGH, on.vector(candidate.values)).x
-            history.tally.evaluations += 1
-            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
-            cost, mode, x = min(ends, key=lambda end: end[0])
-            together = sum(_agree(end[:2], (cost, mode), wide.size) for end in ends)
-            if together > 1:
-                break
-        on, tried = self._on_band(mode), len(ends)
-        divided = divide_coulomb_friction(on, x, history) if together > 1 else None
-        if divided is not None:
-            x, together = divided, 1
-        found = history.solve(on, ROUGH if together < 2 else least_squares(self.tolerance), x)
-        # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
-        followed = frequency_of(found.values) <= FASTEST / on.sample_time
-        for _ in range(_BESIDE if together < 2 and followed else 0):
-            beside, tried = history.solve(on, ROUGH, _beside(found)), tried + 1
-            if beside.norm < (1 - _BETTER) * found.norm - _REST * on.size:  # the way back led further down
-                found = history.solve(on, ROUGH, beside.x)
-                continue
-            one, other = ((end.norm, frequency_of(end.values)) for end in (beside, found))
-            if _agree(one, other, on.size):
-                found, together = history.finish(found, self.tolerance), 2
+    wide, ends, together = on_band(problem, filtering, math.inf), list[tuple[float, float, FloatArray]](), 0
+    for values in _explore(wide, rigid, row, history, widely)[:_REFINED]:
+        on = on_band(problem, filtering, frequency_of(values))
+        x = history.solve(on, ROUGH, on.vector(values)).x
+        history.tally.evaluations += 1
+        ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
+        cost, mode, x = min(ends, key=itemgetter(0))
+        together = sum(_agree(end[:2], (cost, mode), wide.size) for end in ends)
+        if together > 1:
             break
-        message = f"{found.solution.message}; {together} of {tried} starts led there"
-        return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
+    on, tried = on_band(problem, filtering, mode), len(ends)
+    divided = divide_coulomb_friction(on, x, history) if together > 1 else None
+    if divided is not None:
+        x, together = divided, 1
+    found = history.solve(on, ROUGH, x)
+    # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
+    followed = frequency_of(found.values) <= FASTEST / on.sample_time
+    while followed and together < 2 and tried < len(ends) + _BESIDE:
+        beside, tried = history.solve(on, ROUGH, _beside(found)), tried + 1
+        if beside.norm < (1 - _BETTER) * found.norm - _REST * on.size:  # the way back led further down
+            found = history.solve(on, ROUGH, beside.x)
+            continue
+        one, other = ((end.norm, frequency_of(end.values)) for end in (beside, found))
+        together = 1 + _agree(one, other, on.size)
+        break
+    found = history.finish(found, tolerance) if together > 1 else found
+    message = f"{found.solution.message}; {together} of {tried} starts led there"
+    return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
+
+
+def _explore(
+    problem: ClosedLoopProblem, rigid: Mapping[str, float], row: Sequence[float], history: History, widely: bool
+) -> list[dict[str, float]]:
+    """Return the best start at each frequency of a row, the best first; of one frequency all starts."""
+    inertias, shares = (_INERTIAS, _WIDE_SHARES) if widely else ((1.0,), _SHARES)
+    each = list(product(row, inertias, shares))
+    starts = [start_with_mode(problem, {**rigid, "inertia": n * rigid["inertia"]}, f, share) for f, n, share in each]
+    costs = in_threads(lambda start: float(np.linalg.norm(problem.residual(problem.vector(start)))), starts)
+    history.tally.evaluations += len(starts)
+    found = dict[object, dict[str, float]]()
+    for i in np.argsort(costs):
+        if costs[i] < _UNSTABLE * problem.size:  # a start beside another leads nowhere new
+            found.setdefault(each[i][0] if len(row) > 1 else i, starts[i])
+    if not found:
+        raise MethodError(
+            "No start could be simulated: every flexible joint tried makes this loop unstable; check the "
+            "controller's gains, its delay and the unit of the torque."
+        )
+    best = list(found.values())
+    history.progress(f"searching from a mode near {frequency_of(best[0]):.3g} Hz, the best of {len(starts)}")
+    given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in INITIAL}
+    # Starts that come with the parameters are tried first, and no reason to try no others.
+    return [best[0] | given, *best] if given and not widely else best
 
 
 def start_with_mode(problem: Any, rigid: Mapping[str, float], frequency: float, share: float) -> dict[str, float]:
     """Return the start (13) for the free parameters, with the fixed ones as they are."""
     fixed = {p.name: p.start or 0.0 for p in problem.parameters if not p.free or p.name in INITIAL}
-    return divide(problem.parameters, rigid, _HALF) | split_by_mode(rigid["inertia"], share, frequency) | fixed
+    return divide(problem.parameters, rigid, 0.5) | split_by_mode(rigid["inertia"], share, frequency) | fixed
 
 
 def divide(parameters: Sequence[Parameter], rigid: Mapping[str, float], on_motor: float) -> dict[str, float]:
@@ -388,41 +357,27 @@ def _agree(end: tuple[float, float], best: tuple[float, float], size: float) -> 
     return abs(frequency - mode) <= _TOGETHER * mode and cost < (1 + _AS_GOOD) * least + _REST * size
 
 
-def divide_coulomb_friction(problem: Any, x: FloatArray, history: History) -> FloatArray | None:
+def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: History) -> FloatArray | None:
     """Divide an end's Coulomb friction otherwise between motor and load; None where none is better."""
-    values, own = problem.values(x), {p.name for p in problem.free}
-    sides = [
-        (p.name, load)
-        for p in problem.free
-        if p.quantity is Quantity.FORCE and p.name != (load := p.name.replace("motor_", "load_", 1)) and load in own
-    ]
+    values, forces = problem.values(x), {p.name for p in problem.free if p.quantity is Quantity.FORCE}
+    sides = [(f"motor{name[4:]}", name) for name in forces if name.startswith("load_") and f"motor{name[4:]}" in forces]
     if not sides:
         return None
-    tried = [x]
+    tried = []
     for share in _DIVISIONS:
-        wholes = {motor: (values[motor] + values[load], load) for motor, load in sides}
-        moved = {motor: share * whole for motor, (whole, _) in wholes.items()}
-        moved |= {load: (1 - share) * whole for whole, load in wholes.values()}
+        wholes = {pair: values[pair[0]] + values[pair[1]] for pair in sides}
+        moved = {motor: share * whole for (motor, _), whole in wholes.items()}
+        moved |= {load: (1 - share) * whole for (_, load), whole in wholes.items()}
         tried.append(problem.vector(values | moved))
-    left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), tried)
-    tried += in_threads(lambda i: _step_once(problem, tried[i]), sorted(range(1, len(tried)), key=left.__getitem__)[:2])
-    left += [float(np.linalg.norm(problem.residual(at))) for at in tried[-2:]]
-    history.tally.evaluations += len(tried) + 2
-    best = int(np.argmin(left))
-    if not left[best] < (1 - _BETTER) * left[0] - _REST * problem.size:
+    here, *left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), [x, *tried])
+    nearest = [tried[i] for i in np.argsort(left)[:2]]  # a valley's two sides may have a bottom each
+    ends = in_threads(lambda at: Solved(problem, solve(problem, _STEP, at)), nearest)
+    history.tally.evaluations += len(tried) + 5
+    best = min(ends, key=attrgetter("norm"))
+    if not best.norm < (1 - _BETTER) * here - _REST * problem.size:
         return None
     history.progress(Detail("with the Coulomb friction divided otherwise the model explains more"))
-    return tried[best]
-
-
-def _step_once(problem: Any, x: FloatArray) -> FloatArray:
-    """Return a Gauss-Newton step from a point, within the bounds: a valley's two sides may have a bottom each."""
-    error, slopes = problem.linearise(x)
-    if not np.all(np.isfinite(slopes)):  # a loop that runs away
-        return x
-    sizes = column_norms(slopes)
-    step = np.linalg.lstsq(slopes / sizes, -error, rcond=_IDLE)[0] / sizes
-    return Bounds.of(problem.free).clip(x + step)
+    return best.x
 
 
 def _beside(found: Solved) -> FloatArray:
