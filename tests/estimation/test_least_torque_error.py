@@ -19,7 +19,7 @@ def test_a_motion_at_the_first_sample_is_found_from_every_start(seed: int, movin
     case = servo(seed, moving)
     problem = torque_problem(case.record, case.loop, ji.Filtering(), case.loop.joint.parameters)
     ends = [
-        search_rigid_joint(problem, [make(problem)], 1e-7, History(ignore_progress))
+        search_rigid_joint(problem, [make(problem)], History(ignore_progress))
         for make in (inversion_start, regular_start)
     ]
     for end in ends:

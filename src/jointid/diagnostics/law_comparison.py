@@ -256,10 +256,9 @@ def compare_laws(
         if kind == "spring" and law != joint.spring:
             names -= {p.name for p in (*law.parameters, *joint.spring.parameters)} - {"damping"}
         wanted = adjust_parameters(other.parameters, {name: given[name] for name in given.keys() & names})
-        history = History(lambda message: progress(Detail(message)))
+        history = History(lambda message: progress(Detail(message)), settings.tolerance)
         end = settings.solve(Task(record, other, replace(loop, joint=other), wanted, band, history.progress), history)
-        tolerance = settings.stopping_tolerance(joint.model)
-        return free_more(end, settings.free, tolerance, history) if settings.free else end
+        return free_more(end, settings.free, history) if settings.free else end
 
     first = identify(simple, filtering or Filtering())
     if joint.model == "flexible":

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -80,12 +80,20 @@ class Solved(NamedTuple):
         return self._replace(solution=replace(self.solution, starts=starts))
 
 
+@dataclass(slots=True)
 class History:
-    """The simulations of a search that solves several problems, one after the other."""
+    """The simulations of a search that solves several problems, one after the other.
 
-    def __init__(self, progress: Progress) -> None:
-        self.progress, self.tally = progress, Tally()
-        self._last: Counted | None = None
+    Attributes:
+        progress: receives each step.
+        tolerance: of the parameters and the criterion, that the search ends with.
+        tally: of the evaluations.
+    """
+
+    progress: Progress
+    tolerance: float = 1e-8
+    tally: Tally = field(default_factory=Tally)
+    _last: Counted | None = None
 
     def count_evaluations(self, problem: Any) -> Counted:
         """Return the problem with counted evaluations; it remembers the last point that was linearised."""
@@ -93,8 +101,9 @@ class History:
             self._last = Counted(problem, self.tally)
         return self._last
 
-    def solve(self, problem: Any, solver: LevenbergMarquardt, start: FloatArray) -> Solved:
-        """Descend from a start, and report the steps."""
+    def solve(self, problem: Any, start: FloatArray, solver: LevenbergMarquardt | None = None) -> Solved:
+        """Descend from a start, to the tolerance or by another solver, and report the steps."""
+        solver = solver or least_squares(self.tolerance)
         size = problem.size or 1.0
 
         def watch(step: Step) -> None:
@@ -102,17 +111,13 @@ class History:
 
         return Solved(problem, solve(self.count_evaluations(problem), solver, start, watch))
 
-    def finish(self, rough: Solved, tolerance: float) -> Solved:
-        """Descend from the end of a rough descent to the full tolerance."""
-        return self.solve(rough.problem, least_squares(tolerance), rough.x)
-
 
 def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
     """Descend by least squares, neither reported nor counted."""
     return solve(problem, least_squares(tolerance), start)
 
 
-def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history: History) -> Solved:
+def free_more(solved: Solved, names: tuple[str, ...], history: History) -> Solved:
     """Go on by least squares with more of the joint's surroundings free, see `surrounding`.
 
     Raises:
@@ -124,7 +129,7 @@ def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history:
             "identify from two records with a known mass between them."
         )
     wider = solved.problem.freeing(*names)
-    return history.solve(wider, least_squares(tolerance), wider.vector(solved.values))
+    return history.solve(wider, wider.vector(solved.values))
 
 
 def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
@@ -157,7 +162,6 @@ _ASIDE = 0.25  # of the reference's largest speed: a motor may move while its re
 def search_rigid_joint(
     problem: ClosedLoopProblem,
     starts: Sequence[Mapping[str, float]],
-    tolerance: float,
     history: History,
     *,
     freed: bool = False,
@@ -167,7 +171,6 @@ def search_rigid_joint(
     Args:
         problem: of a rigid joint with linear laws.
         starts: the likeliest first.
-        tolerance: of the criterion and the parameters.
         history: of the search.
         freed: whether more is freed from the end, in whose place a motion at the first sample could stand.
 
@@ -175,14 +178,13 @@ def search_rigid_joint(
         MethodError: the loop cannot be simulated at any start, and the sentence says why at the first.
     """
     resting, ends, failures = problem.keeping({"initial_velocity": 0.0}), list[Solved](), list[MethodError]()
-    solver = least_squares(tolerance)
     for count, start in enumerate(starts):
         try:
             started = first_positions(resting, start, history)
         except MethodError as error:
             failures.append(error)
             continue
-        ends += [history.solve(resting, solver, x) for x in started[: 1 if count else None]]
+        ends += [history.solve(resting, x) for x in started[: 1 if count else None]]
     if failures and not any(end.norm < _EXPLAINS * problem.size for end in ends):
         raise failures[0]
     best = ends[0]
@@ -210,7 +212,7 @@ def search_rigid_joint(
     # is then a part of that velocity. Where the motor moves, the end at rest may have another friction, and where the
     # law is off, the start another state.
     for there in guess_motions() if best.norm > rounding else ():
-        moved = history.solve(problem, solver, problem.vector({**best.values, **there}))
+        moved = history.solve(problem, problem.vector({**best.values, **there}))
         best = moved.with_starts(best.solution.starts) if is_significant(best, moved, history) else best
     if best.norm <= rounding:
         exact = replace(best.solution, status=Status.EXACT, message="the torque is reproduced to rounding")
@@ -253,7 +255,7 @@ def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     return problem if joint.spring.linear else problem.with_joint(replace(joint, spring=Spring()))
 
 
-def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float, history: History) -> Solved:
+def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History) -> Solved:
     """Search for a joint with nonlinear laws from the end with linear ones, or with a linear spring."""
     joint, linear = problem.joint, found.problem
     own, around = problem.parameters[: len(joint.parameters)], linear.around  # the motor may begin moving there
@@ -266,11 +268,11 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     duration = run.sample_time * run.torque.size
     starts = law_starts(joint, linear.joint, values, (duration, positions, velocities), given)
     history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")
-    ends = [history.solve(problem, ROUGH, problem.vector(start)) for start in starts]
+    ends = [history.solve(problem, problem.vector(start), ROUGH) for start in starts]
     best = min(ends, key=lambda end: end.norm)
-    end = history.finish(best, tolerance)
+    end = history.solve(problem, best.x)
     if not end.solution.converged:  # along a flat valley a second descent has its damping anew
-        end = history.finish(end, tolerance)
+        end = history.solve(problem, end.x)
     return end.with_starts(found.solution.starts)
 
 

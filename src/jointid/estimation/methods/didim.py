@@ -71,7 +71,6 @@ from jointid.uncertainty.model_tests import whiteness
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGH = 1e-3  # tolerance of a rigid joint that only finds a delay
-_TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
 _FLEXIBLE = ("flexible",)
 
 
@@ -85,10 +84,9 @@ class DIDIM(Method):
     default_for = ClosedLoop
     needs_controller = True
 
-    tolerance: float | None = setting(
-        None,
-        "change of the criterion, and of the parameters, to stop at, as a share; without it 1e-7 for a rigid joint and "
-        "1e-8 for a flexible one",
+    tolerance: float = setting(
+        1e-8,
+        "change of the criterion, and of the parameters, to stop at, as a share",
         above=0,
         systems=MODELS,
     )
@@ -113,10 +111,6 @@ class DIDIM(Method):
         default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
     )
 
-    def stopping_tolerance(self, model: str) -> float:
-        """Return the tolerance that the search stops at: its own, or the default of the joint's model."""
-        return self.tolerance or _TOLERANCES[model]
-
     def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and reference; a motor position in the record is not read.
 
@@ -126,11 +120,11 @@ class DIDIM(Method):
             RecordError: a channel is missing.
             MethodError: the record does not determine the parameters, or the loop cannot be simulated at any start.
         """
-        history = History(task.progress)
+        history = History(task.progress, self.tolerance)
         solved, loop = self.solve(self._near_delay(task, history), history), task.loop
         starts = solved.solution.starts
         if self.free:
-            solved = free_more(solved, self.free, self.stopping_tolerance(task.joint.model), history)
+            solved = free_more(solved, self.free, history)
             if loop is not None and solved.problem.loop.controller != loop.controller:  # a free delay stays what it is
                 solved = solved._replace(problem=solved.problem.under(loop.controller))
         problem, x = solved.problem, solved.x
@@ -176,20 +170,19 @@ class DIDIM(Method):
     def solve(self, task: Task, history: History) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
         model, problem = task.joint.model, _pose(task)
-        tolerance, lines = self.stopping_tolerance(model), problem.joint.linear
-        linear = problem if problem.joint == lines else problem.with_joint(lines)
+        linear = problem if problem.joint == problem.joint.linear else problem.with_joint(problem.joint.linear)
         require_free(linear.free_joint)
         if model == "flexible":
             own = replace(task, joint=linear.joint, loop=linear.loop)
-            solved = search_flexible_joint(linear, own, self.frequency, tolerance, history)
+            solved = search_flexible_joint(linear, own, self.frequency, history)
         else:
             starts = rigid_starts(linear, task.progress)
-            solved = search_rigid_joint(linear, starts, tolerance, history, freed=bool(self.free))
+            solved = search_rigid_joint(linear, starts, history, freed=bool(self.free))
         if linear is problem:
             return solved
         if DELAY in self.free and model == "flexible":  # a gap is found where torque and motion are in time
-            solved = free_more(solved, (DELAY,), tolerance, history)
-        return from_linear_laws(problem, solved, tolerance, history)
+            solved = free_more(solved, (DELAY,), history)
+        return from_linear_laws(problem, solved, history)
 
     def _near_delay(self, task: Task, history: History) -> Task:
         """Return the task at a delay near the best, where it is free and none is declared.
@@ -205,7 +198,7 @@ class DIDIM(Method):
             law = with_numbers(loop.controller, {DELAY: late})
             with contextlib.suppress(MethodError):  # no joint is stable with it
                 rough = rough_rigid_joint(replace(task, loop=replace(loop, controller=law)), history)
-                end = free_more(rough, (DELAY,), _ROUGH, history)
+                end = free_more(rough, (DELAY,), replace(history, tolerance=_ROUGH))
                 ends[end.values[DELAY]] = end.norm / end.problem.size
         law = with_numbers(loop.controller, {DELAY: min(ends, key=lambda late: ends[late], default=0.0)})
         return replace(task, loop=replace(loop, controller=law))

@@ -56,7 +56,7 @@ from jointid.simulation.drive_side import (
     prescribe,
 )
 from jointid.simulation.plant import LOAD_STATE
-from jointid.solvers.solve import LevenbergMarquardt, damped_step
+from jointid.solvers.solve import damped_step
 from jointid.uncertainty.covariance import Influence
 
 _LOAD_PARAMETERS = (
@@ -65,7 +65,7 @@ _LOAD_PARAMETERS = (
 )
 
 _LOWEST, _HIGHEST = 0.05, 1.5  # of the cut-off: the free-free modes that are searched
-_TOLERANCE, _ROUGHLY = 1e-8, 1e-3  # of the criterion and the parameters; and of the rigid joint that is a start
+_ROUGHLY = 1e-3  # tolerance of the rigid joint that is a start
 
 
 def motion_problem(
@@ -157,10 +157,10 @@ class DriveSideFit(Method):
             found = _search_spring(record, task.joint, problem, history).solution
         else:
             try:
-                found = _fit_rigid(problem, _TOLERANCE, history).solution
+                found = _fit_rigid(problem, history).solution
             except MethodError:  # of a light joint in noise the reversals may be all that tells of its inertia
                 problem = problem.map_logs(lambda log: log.with_rows(moving))
-                found = _fit_rigid(problem, _TOLERANCE, history).solution
+                found = _fit_rigid(problem, history).solution
         x, J, error = found.x, found.jacobian, found.residual
         influence = Influence(J, error)
         covariance = influence.widen_for_motion(influence.widen_for_bands(influence.by_time()))
@@ -192,13 +192,12 @@ def _search_spring(record: Record, joint: FlexibleJoint, problem: ClosedLoopProb
     """Return the end of the search from a rigid joint below the resonance."""
     slow, delay = Filtering(cutoff=rigid_cutoff(record)), problem.parameters[-1]
     rigid = motion_problem(record, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
-    values, cutoff = _fit_rigid(rigid, _ROUGHLY, history).values, problem.filtering.cutoff or 0.0
+    values, cutoff = _fit_rigid(rigid, replace(history, tolerance=_ROUGHLY)).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))
-    found = search_spring(problem, values, row, problem.filtering, _TOLERANCE, history)
-    return history.finish(found, _TOLERANCE)
+    return history.solve(problem, search_spring(problem, values, row, problem.filtering, history).x)
 
 
-def _fit_rigid(problem: ClosedLoopProblem, tolerance: float, history: History) -> Solved:
+def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:
     """Return the fit of a rigid joint.
 
     Raises:
@@ -214,4 +213,4 @@ def _fit_rigid(problem: ClosedLoopProblem, tolerance: float, history: History) -
             "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (turn "
             "record.channels.torque.sign round), or they do not belong together."
         )
-    return history.solve(problem, LevenbergMarquardt(tolerance), Bounds.of(problem.free).clip(problem.vector(values)))
+    return history.solve(problem, problem.vector(values))

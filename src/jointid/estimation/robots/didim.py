@@ -407,7 +407,7 @@ class _Search:
             for start in starts:
                 here = values | start
                 x = own.to_search_variables(np.array([here[p.name] if p.free else p.start for p in own.parameters]))
-                ends.append(history.solve(rough, ROUGH, x))
+                ends.append(history.solve(rough, x, ROUGH))
             best = min(ends, key=lambda end: end.norm)
             if not best.solution.jacobian.any():
                 raise MethodError(
@@ -430,7 +430,7 @@ class _Search:
         tolerance, worth = aim
         limit, exact = min(evaluations or math.inf, self.how.evaluations), problem.floor / float(np.max(problem.sigma))
         reach = problem.parameters.reach(problem.parameters.values(x))
-        return self.history.solve(problem, LevenbergMarquardt(tolerance, limit, reach, worth, exact), x)
+        return self.history.solve(problem, x, LevenbergMarquardt(tolerance, limit, reach, worth, exact))
 
     def go_on(
         self, problem: Simulated, end: Solved, aim: tuple[float, float], evaluations: int | None = None

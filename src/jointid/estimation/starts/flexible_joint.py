@@ -82,7 +82,6 @@ def search_flexible_joint(
     problem: ClosedLoopProblem,
     task: Task,
     frequency: float | None,
-    tolerance: float,
     history: History,
 ) -> Solved:
     """Return the least torque error of a flexible joint, see the module.
@@ -91,7 +90,6 @@ def search_flexible_joint(
         problem: of the joint with linear laws.
         task: that it is a part of.
         frequency: free-free, Hz; a grid is tried when None.
-        tolerance: of the parameters and the criterion.
         history: of the search.
 
     Raises:
@@ -108,12 +106,12 @@ def search_flexible_joint(
     def search_about(joint: Mapping[str, float], widely: bool) -> Solved:
         modes = frequencies_to_try(problem.axis.law, joint["inertia"], problem.sample_time, widely)
         row = [frequency] if frequency else modes
-        found = search_spring(problem, joint, row, task.filtering, tolerance, history, widely)
+        found = search_spring(problem, joint, row, task.filtering, history, widely)
         if motion is None:
             return found
         # From an end at rest no descent leads to one that moves.
         moving = problem.replace_parameters({p.name: replace(p, start=motion[p.name]) for p in INITIAL_STATE})
-        end = search_spring(moving, joint, row, task.filtering, tolerance, history, widely)
+        end = search_spring(moving, joint, row, task.filtering, history, widely)
         return end if is_significant(found, end, history) else found
 
     ends, failures = list[tuple[float, Solved]](), list[MethodError]()
@@ -154,12 +152,12 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
 
     Its cut-off is 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
-    record, rigid, found = task.record, _rigid_loop(task), None
+    record, rigid, found, rough = task.record, _rigid_loop(task), None, replace(history, tolerance=_ROUGH)
 
     def search(edge: float) -> Solved:
         history.progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
         problem = torque_problem(record, rigid, Filtering(cutoff=edge), rigid.joint.parameters)
-        return search_rigid_joint(problem, rigid_starts(problem, history.progress), _ROUGH, history)
+        return search_rigid_joint(problem, rigid_starts(problem, history.progress), rough)
 
     edge = rigid_cutoff(record)
     for _ in range(_LOWERED):  # a mode below the cut-off may make the joint look like none at all
@@ -243,7 +241,6 @@ def search_spring(
     rigid: Mapping[str, float],
     row: Sequence[float],
     filtering: Filtering,
-    tolerance: float,
     history: History,
     widely: bool = False,
 ) -> Solved:
@@ -257,7 +254,6 @@ def search_spring(
         rigid: values of a rigid joint.
         row: free-free frequencies to start from, Hz.
         filtering: that is asked for.
-        tolerance: of the parameters and the criterion.
         history: of the search.
         widely: whether other inertias are tried, too: a mode inside the bandwidth makes the rigid joint another one.
 
@@ -267,7 +263,7 @@ def search_spring(
     wide, ends, together = on_band(problem, filtering, math.inf), list[tuple[float, float, FloatArray]](), 0
     for values in _explore(wide, rigid, row, history, widely)[:_REFINED]:
         on = on_band(problem, filtering, frequency_of(values))
-        x = history.solve(on, ROUGH, on.vector(values)).x
+        x = history.solve(on, on.vector(values), ROUGH).x
         history.tally.evaluations += 1
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
         cost, mode, x = min(ends, key=itemgetter(0))
@@ -278,18 +274,18 @@ def search_spring(
     divided = divide_coulomb_friction(on, x, history) if together > 1 else None
     if divided is not None:
         x, together = divided, 1
-    found = history.solve(on, ROUGH, x)
+    found = history.solve(on, x, ROUGH)
     # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
     followed = frequency_of(found.values) <= FASTEST / on.sample_time
     while followed and together < 2 and tried < len(ends) + _BESIDE:
-        beside, tried = history.solve(on, ROUGH, _beside(found)), tried + 1
+        beside, tried = history.solve(on, _beside(found), ROUGH), tried + 1
         if beside.norm < (1 - _BETTER) * found.norm - _REST * on.size:  # the way back led further down
-            found = history.solve(on, ROUGH, beside.x)
+            found = history.solve(on, beside.x, ROUGH)
             continue
         one, other = ((end.norm, frequency_of(end.values)) for end in (beside, found))
         together = 1 + _agree(one, other, on.size)
         break
-    found = history.finish(found, tolerance) if together > 1 else found
+    found = history.solve(on, found.x) if together > 1 else found
     message = f"{found.solution.message}; {together} of {tried} starts led there"
     return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
 
