@@ -27,6 +27,7 @@ from jointid.models.controllers import REFERENCE
 from jointid.models.friction import PARTS, MotionSize
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import Spring
+from jointid.simulation.simulate import Run, motion_at
 from jointid.simulation.start import wound_up
 from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, Tally, solve
 from jointid.uncertainty.covariance import Influence
@@ -260,13 +261,10 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History
     joint, linear = problem.joint, found.problem
     own, around = problem.parameters[: len(joint.parameters)], linear.around  # the motor may begin moving there
     problem = replace(problem.with_log(filtering=linear.filtering), parameters=(*own, *around))
-    values, run = found.values, linear.simulate(found.x)
+    (run,) = linear.run(found.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
-    each = (run.motor_position, run.load_position), (run.motor_velocity, run.load_velocity)
-    positions, velocities = (np.column_stack([side for side in pair if side is not None]) for pair in each)
-    duration = run.sample_time * run.torque.size
-    starts = law_starts(joint, linear.joint, values, (duration, positions, velocities), given)
+    starts = law_starts(joint, linear.joint, found.values, run, 0, given)
     history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, problem.vector(start), ROUGH) for start in starts]
     best = min(ends, key=lambda end: end.norm)
@@ -280,7 +278,8 @@ def law_starts(
     joint: Joint,
     linear: Joint,
     values: Mapping[str, float],
-    motion: tuple[float, FloatArray, FloatArray],
+    run: Run,
+    axis: int,
     given: Mapping[str, float],
 ) -> list[dict[str, float]]:
     """Return the starts of the search of a joint's laws, each with the values of all its parameters.
@@ -289,12 +288,14 @@ def law_starts(
         joint: with nonlinear laws.
         linear: the same with others, which were found.
         values: of its parameters.
-        motion: seconds, then positions and velocities of its motor and its load, (samples, sides).
+        run: with the linear laws.
+        axis: of the joint there.
         given: starts that are stated.
     """
     springs: list[dict[str, float]] = [{}]
     frictions: list[dict[str, float]] = [{}]
-    duration, positions, velocities = motion
+    clock, sides = run.experiment.clock, run.numbers.rows[axis]
+    positions, velocities = (moved[:, sides] for moved in motion_at(run, clock.log_index)[:2])
     if isinstance(joint, FlexibleJoint) and isinstance(linear, FlexibleJoint) and joint.spring != linear.spring:
         windup = float(np.max(np.abs(positions[:, 0] - positions[:, 1])))
         if not (values["stiffness"] > 0.0 and windup > 0.0):
@@ -309,7 +310,7 @@ def law_starts(
             lines = (joint.friction.mean(part, prefix) for part in PARTS)
             viscous, coulomb = (sum(by * values[name] for name, by in line.items()) for line in lines)
             speed, travel = float(np.max(np.abs(velocity))), float(np.ptp(position))
-            size = MotionSize(speed, travel, duration, viscous, coulomb)
+            size = MotionSize(speed, travel, clock.sample_time * clock.samples, viscous, coulomb)
             by_side.append(joint.friction.starts(size, prefix))
         frictions = [dict(ChainMap(*both)) for both in zip(*by_side, strict=True)]
     still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)

@@ -27,13 +27,7 @@ import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.descent import (
-    History,
-    Solved,
-    free_more,
-    from_linear_laws,
-    search_rigid_joint,
-)
+from jointid.estimation.descent import History, Solved, free_more, from_linear_laws, search_rigid_joint
 from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error, widen_for_force
 from jointid.estimation.methods.registry import (
     EVALUATIONS,

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import History, Solved
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
@@ -50,13 +50,8 @@ from jointid.records.signals.filtering import (
     lowpass,
     window_torque,
 )
-from jointid.simulation.drive_side import (
-    PARTS,
-    DriveSide,
-    prescribe,
-)
+from jointid.simulation.drive_side import PARTS, DriveSide, prescribe
 from jointid.simulation.plant import LOAD_STATE
-from jointid.solvers.solve import damped_step
 from jointid.uncertainty.covariance import Influence
 
 _LOAD_PARAMETERS = (
@@ -139,8 +134,7 @@ class DriveSideFit(Method):
     def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and motor position, whatever its controller.
 
-        The position's cut-off should be five times the free-free
-        frequency or more, the other one above it.
+        The position's cut-off should be five times the free-free frequency or more, the other one above it.
 
         Raises:
             RecordError: a channel is missing, or at another rate.
@@ -206,8 +200,8 @@ def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:
     delay = problem.parameters[-1]
     linear = problem.keeping({delay.name: delay.start or 0.0})  # a torque of the wrong sign could be one far too late
     x = linear.vector({"inertia": 1.0})
-    unbounded = Bounds(np.full(x.size, -np.inf), np.full(x.size, np.inf))
-    values = linear.values(x + damped_step(*linear.linearise(x), unbounded))
+    error, slopes = linear.linearise(x)
+    values = linear.values(x - np.linalg.lstsq(slopes, error, rcond=None)[0])
     if values["inertia"] <= 0.0:
         raise MethodError(
             "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (turn "

@@ -68,7 +68,7 @@ from jointid.models.robots.robot import Robot, RobotJoint, RobotLoop
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, Numbers, values_of_joint
-from jointid.simulation.simulate import Outcome, motion_at
+from jointid.simulation.simulate import Outcome
 from jointid.solvers.solve import LevenbergMarquardt, Status
 from jointid.uncertainty.covariance import Covariance, Influence, white
 from jointid.uncertainty.identifiability import find_separable
@@ -502,9 +502,6 @@ def _starts_of(
     """Return the starts of one axis's laws from the fit with linear ones, by the names of the robot's parameters."""
     own = {p.name: known.get(name_in_robot(joint.name, p.name)) for p in joint.model.parameters}
     given = {name: p.start for name, p in own.items() if p is not None and p.start is not None}
-    run = linear.runs[0]
-    clock, rows = run.experiment.clock, run.numbers.rows[axis]
-    seen = motion_at(run, clock.log_index)
-    motion = clock.sample_time * clock.samples, seen.position[:, rows], seen.velocity[:, rows]
-    starts = law_starts(joint.model, joint.linear.model, values_of_joint(numbers, axis), motion, given)
+    values = values_of_joint(numbers, axis)
+    starts = law_starts(joint.model, joint.linear.model, values, linear.runs[0], axis, given)
     return [{name_in_robot(joint.name, name): x for name, x in start.items()} for start in starts]
