@@ -30,7 +30,7 @@ from jointid.estimation.parameters import LOG_DELAY, log_delay
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, require_free
 from jointid.estimation.problems.inverse_model import (
     SAID,
-    MeasuredMotion,
+    motion_along,
     moving_weights,
     steady_weights,
     torque_and_positions,
@@ -45,10 +45,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
     describe_noise_limit,
-    differentiate,
     find_noise_limit,
-    lowpass,
-    window_torque,
 )
 from jointid.simulation.drive_side import PARTS, DriveSide, prescribe
 from jointid.simulation.plant import LOAD_STATE
@@ -86,23 +83,17 @@ def motion_problem(
     require_free(parameters)
     torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Drive-side identification")
     sample_time = torque.sample_time
-    limit = find_noise_limit([position], sample_time)
-    filtering = filtering.resolve(sample_time, setup.joint.model, limit)
-    assert filtering.position_cutoff is not None
-    smooth = lowpass(position, filtering.position_cutoff, sample_time)[:, np.newaxis]
-    prescribed = prescribe(smooth, sample_time, PARTS)
-    rests = not moving_weights(prescribed.velocity[::PARTS, 0])[0]
-    if rests:  # the rounding of an encoder would have its load begin where Coulomb friction drags it
-        prescribed = prescribe(smooth, sample_time, PARTS, resting=True)
-    velocity = prescribed.velocity[::PARTS]
-    weights = moving_weights(velocity[:, 0])
+    filtering = filtering.resolve(sample_time, setup.joint.model, find_noise_limit([position], sample_time))
+    # How late the log shows the torque is searched, so its timing is taken as it is.
+    motion = motion_along([replace(torque, stated=True)], position[:, np.newaxis], filtering)
+    velocity, cutoff = motion.v[:, 0], filtering.position_cutoff
+    assert cutoff is not None
+    weights = moving_weights(velocity)
+    # The rounding of an encoder would have the load of a motor that rests begin where Coulomb friction drags it.
+    prescribed = prescribe(motion.q, sample_time, PARTS, resting=not weights[0])
     if setup.joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
-        weights = steady_weights(velocity[:, 0], filtering.position_cutoff, sample_time)[1]
-    motion = MeasuredMotion(
-        smooth, velocity, differentiate(velocity, sample_time), window_torque(torque)[:, np.newaxis],
-        weights[:, np.newaxis], sample_time, filtering, limit, position[:, np.newaxis],
-        told=-math.inf,  # faint rows count, too
-    )  # fmt: skip
+        weights = steady_weights(velocity, cutoff, sample_time)[1]
+    motion = replace(motion, moving=weights[:, np.newaxis], told=-math.inf)  # faint rows count, too
     around = () if setup.joint.model == "rigid" else _LOAD_PARAMETERS
     # A load at rest rests where it was left.
     first = tuple(replace(p, free=bool(weights[0]), start=0.0) for p in around)

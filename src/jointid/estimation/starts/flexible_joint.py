@@ -37,7 +37,7 @@ from jointid.estimation.parameters import INITIAL, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.starts.rigid_joint import first_state, reconstructed_position, regular_start, rigid_starts
 from jointid.models.controllers import REFERENCE, SampledLaw
-from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole, split_by_mode
+from jointid.models.joints import FlexibleJoint, acts_on_whole, split_by_mode
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.solve import LevenbergMarquardt, solve
@@ -152,48 +152,44 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
 
     Its cut-off is 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
-    record, rigid, found, rough = task.record, _rigid_loop(task), None, replace(history, tolerance=_ROUGH)
+    found, rough, edge = None, replace(history, tolerance=_ROUGH), rigid_cutoff(task.record)
 
     def search(edge: float) -> Solved:
         history.progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
-        problem = torque_problem(record, rigid, Filtering(cutoff=edge), rigid.joint.parameters)
+        problem = _rigid_problem(task, edge)
         return search_rigid_joint(problem, rigid_starts(problem, history.progress), rough)
 
-    edge = rigid_cutoff(record)
     for _ in range(_LOWERED):  # a mode below the cut-off may make the joint look like none at all
         with contextlib.suppress(MethodError):
             found = search(edge)
             break
         edge /= _LOWER
     found = found or search(edge)
-    slow = max(_RIGID_BELOW * crossover(found.problem.axis.law, found.values["inertia"]), _least_cutoff(record))
+    slow = rigid_cutoff(task.record, _RIGID_BELOW * crossover(found.problem.axis.law, found.values["inertia"]))
     return search(slow) if slow < 0.7 * edge else found
 
 
-def rigid_cutoff(record: Record) -> float:
-    """Return the cut-off, Hz, below which a flexible joint is first identified as rigid."""
+def rigid_cutoff(record: Record, wanted: float | None = None) -> float:
+    """Return the cut-off, Hz, below which a flexible joint is first identified as rigid, or as is wanted."""
     assert record.torque is not None
-    return max(_RIGID_CUTOFF / record.torque.sample_time, _least_cutoff(record))
+    period = record.torque.sample_time
+    return max(wanted or _RIGID_CUTOFF / period, _SWINGS / (record.torque.values.size * period))
 
 
-def _least_cutoff(record: Record) -> float:
-    assert record.torque is not None
-    return _SWINGS / (record.torque.values.size * record.torque.sample_time)
-
-
-def _rigid_loop(task: Task) -> ClosedLoop:
-    """Return the loop of a task with its joint taken for rigid, with linear laws."""
+def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
+    """Return the problem of a task with its joint taken for rigid, with linear laws."""
     assert task.loop is not None
     joint = task.loop.joint
-    return replace(task.loop, joint=joint.rigid if isinstance(joint, FlexibleJoint) else joint.linear)
+    joint = joint.rigid if isinstance(joint, FlexibleJoint) else joint.linear
+    return torque_problem(task.record, replace(task.loop, joint=joint), Filtering(cutoff=cutoff), joint.parameters)
 
 
 def _follow_reference(task: Task) -> dict[str, float]:
     """Return the values of a rigid joint without friction that follows its reference."""
-    loop, filtering = _rigid_loop(task), Filtering(cutoff=rigid_cutoff(task.record))
-    problem = torque_problem(task.record, loop, filtering, loop.joint.parameters)
-    values = regular_start(problem.keeping({p.name: 0.0 for p in loop.joint.parameters if p.name != "inertia"}))
-    return {p.name: values[p.name] for p in loop.joint.parameters}
+    problem = _rigid_problem(task, rigid_cutoff(task.record))
+    names = [p.name for p in problem.joint.parameters]
+    values = regular_start(problem.keeping({name: 0.0 for name in names if name != "inertia"}))
+    return {name: values[name] for name in names}
 
 
 def crossover(law: SampledLaw, inertia: float) -> float:
