@@ -76,10 +76,6 @@ class Solved(NamedTuple):
         """Norm of the residual."""
         return float(np.linalg.norm(self.solution.residual))
 
-    def with_starts(self, starts: tuple[int, int]) -> Solved:
-        """Return the end with another count of the starts that led there, and of all."""
-        return self._replace(solution=replace(self.solution, starts=starts))
-
 
 @dataclass(slots=True)
 class History:
@@ -88,11 +84,13 @@ class History:
     Attributes:
         progress: receives each step.
         tolerance: of the parameters and the criterion, that the search ends with.
-        tally: of the evaluations.
+        evaluations: of a descent, at most.
+        tally: of the evaluations of all.
     """
 
     progress: Progress
     tolerance: float = 1e-8
+    evaluations: int = 200
     tally: Tally = field(default_factory=Tally)
     _last: Counted | None = None
 
@@ -104,7 +102,7 @@ class History:
 
     def solve(self, problem: Any, start: FloatArray, solver: LevenbergMarquardt | None = None) -> Solved:
         """Descend from a start, to the tolerance or by another solver, and report the steps."""
-        solver = solver or least_squares(self.tolerance)
+        solver = solver or least_squares(self.tolerance, self.evaluations)
         size = problem.size or 1.0
 
         def watch(step: Step) -> None:
@@ -214,7 +212,7 @@ def search_rigid_joint(
     # law is off, the start another state.
     for there in guess_motions() if best.norm > rounding else ():
         moved = history.solve(problem, problem.vector({**best.values, **there}))
-        best = moved.with_starts(best.solution.starts) if is_significant(best, moved, history) else best
+        best = moved if is_significant(best, moved, history) else best
     if best.norm <= rounding:
         exact = replace(best.solution, status=Status.EXACT, message="the torque is reproduced to rounding")
         best = best._replace(solution=exact)
@@ -263,15 +261,14 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History
     problem = replace(problem.with_log(filtering=linear.filtering), parameters=(*own, *around))
     (run,) = linear.run(found.x)
     history.tally.evaluations += 1
-    given = {p.name: p.start for p in own if p.start is not None}
-    starts = law_starts(joint, linear.joint, found.values, run, 0, given)
+    starts = law_starts(joint, linear.joint, found.values, run, 0, {p.name: p.start for p in own})
     history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, problem.vector(start), ROUGH) for start in starts]
     best = min(ends, key=lambda end: end.norm)
     end = history.solve(problem, best.x)
     if not end.solution.converged:  # along a flat valley a second descent has its damping anew
         end = history.solve(problem, end.x)
-    return end.with_starts(found.solution.starts)
+    return end._replace(solution=replace(end.solution, starts=found.solution.starts))
 
 
 def law_starts(
@@ -280,7 +277,7 @@ def law_starts(
     values: Mapping[str, float],
     run: Run,
     axis: int,
-    given: Mapping[str, float],
+    given: Mapping[str, float | None],
 ) -> list[dict[str, float]]:
     """Return the starts of the search of a joint's laws, each with the values of all its parameters.
 
@@ -290,7 +287,7 @@ def law_starts(
         values: of its parameters.
         run: with the linear laws.
         axis: of the joint there.
-        given: starts that are stated.
+        given: starts that are stated, None of others.
     """
     springs: list[dict[str, float]] = [{}]
     frictions: list[dict[str, float]] = [{}]
@@ -314,4 +311,5 @@ def law_starts(
             by_side.append(joint.friction.starts(size, prefix))
         frictions = [dict(ChainMap(*both)) for both in zip(*by_side, strict=True)]
     still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
-    return [{**still, **values, **spring, **own, **given} for spring, own in product(springs, frictions)]
+    stated = {name: start for name, start in given.items() if start is not None}
+    return [{**still, **values, **spring, **own, **stated} for spring, own in product(springs, frictions)]

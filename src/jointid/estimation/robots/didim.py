@@ -37,6 +37,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, p
 from jointid.estimation.starts.rigid_joint import start_rigid_robot
 from jointid.estimation.starts.robot_springs import STIFFEST, SplitRobot
 from jointid.models.controllers import numbers_of
-from jointid.models.robots.robot import Robot, RobotJoint, RobotLoop
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, Numbers, values_of_joint
@@ -250,8 +251,10 @@ def search_robot(
             missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
             several logs along a motion begins in motion.
     """
-    how = settings or (DriveSideFit() if isinstance(setup, RobotDriveSide) else DIDIM())
-    return _Search(setup, records, filtering, how, dict(known or {}), History(progress)).search()
+    how: Any = settings or (DriveSideFit() if isinstance(setup, RobotDriveSide) else DIDIM())
+    return _Search(
+        setup, records, filtering, how, dict(known or {}), History(progress, evaluations=how.evaluations)
+    ).search()
 
 
 @dataclass(slots=True)
@@ -314,7 +317,7 @@ class _Search:
         Raises:
             MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
         """
-        problem, before = self.pose(under, through, rigid=True), self.history.tally.evaluations
+        problem = self.pose(under, through, rigid=True)
         if self.along:
             # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not,
             # down to what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
@@ -322,8 +325,7 @@ class _Search:
             x = np.zeros(len(problem.free))
         else:
             x = start_rigid_robot(problem, under, each_log(self.records)[0])
-        end = self.settle(problem, self.descend(problem, x, _ROUGH))
-        return conclude(end, self.history.tally.evaluations - before)
+        return _settle(problem, _descend(problem, x, _ROUGH, self.history), self.history)
 
     def find_springs(self, near: Any) -> RobotFit:
         """Search the flexible robot of the least torque error, from the rigid one below the modes.
@@ -344,7 +346,7 @@ class _Search:
     def find_springs_from(self, problem: Simulated, rough: Simulated, rigid: RobotFit) -> RobotFit:
         """Search the springs of a robot from a rigid one, roughly at first."""
         history, names, given = self.history, self.setup.robot.names, self.how.frequencies
-        start, before = SplitRobot.of(rough, rigid), history.tally.evaluations
+        start = SplitRobot.of(rough, rigid)
         hertz = np.array([given.get(name, 0.0) for name in names]) if given else start.search()
         for i in np.flatnonzero([] if given else hertz):
             history.progress(f"{names[i]}: its mode is searched from {hertz[i]:.3g} Hz")
@@ -353,7 +355,8 @@ class _Search:
         without = float(np.linalg.norm(error * rough.weights(error.size)))
 
         def begin(hertz: FloatArray | float) -> Solved:
-            return self.descend(rough, rough.parameters.to_search_variables(start.values(hertz)), _ROUGH, _FIRST)
+            x = rough.parameters.to_search_variables(start.values(hertz))
+            return _descend(rough, x, _ROUGH, history, _FIRST)
 
         end = begin(hertz)
         if end.solution.status is Status.NOT_EVALUABLE:
@@ -369,11 +372,10 @@ class _Search:
             end = begin(start.stiff)
         if not _may_show(end) or (lost and end.norm > without):
             with suppress(MethodError):
-                seen = self.go_on(replace(problem, sigma=rough.sigma), end, _CLOSE, evaluations=1)
+                seen = _descend(replace(problem, sigma=rough.sigma), end, _CLOSE, history, evaluations=1)
                 seen = seen._replace(solution=replace(seen.solution, status=end.solution.status))
-                return conclude(seen, history.tally.evaluations - before, springs=False)
-        end = self.settle(problem, self.go_on(_reweight(end), end, _CLOSE))
-        fit = conclude(end, history.tally.evaluations - before)
+                return conclude(seen, history.tally.evaluations, springs=False)
+        fit = _settle(problem, _descend(_reweight(end), end, _CLOSE, history), history)
         if np.all(problem.norms(problem.error(fit.runs)) >= problem.norms(problem.error(rigid.runs))):
             raise MethodError(
                 "A robot of rigid joints explains the torque of every joint better than the one that the search of "
@@ -388,7 +390,7 @@ class _Search:
             MethodError: an axis cannot be simulated at any start of its laws, or where the search ends.
         """
         robot, sigma, history = self.setup.robot, linear.problem.sigma, self.history
-        given, before = dict(self.known), history.tally.evaluations - linear.iterations
+        given = dict(self.known)
         self.known |= {p.name: p for p in linear.parameters.parameters}  # springs have bounds that a search gave them
         values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.numbers
         changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
@@ -400,8 +402,11 @@ class _Search:
             starts, what = list[dict[str, float]]([{}]), "delays of the torques"
             if i >= 0:
                 joint = robot.joints[i]
-                starts = _starts_of(joint, i, linear, numbers, given)
-                what = f"laws of {joint.name}"
+                what, full = f"laws of {joint.name}", partial(name_in_robot, joint.name)
+                stated = {p.name: given[full(p.name)].start for p in joint.model.parameters if full(p.name) in given}
+                at = values_of_joint(numbers, i)
+                each = law_starts(joint.model, joint.linear.model, at, linear.runs[0], i, stated)
+                starts = [{full(name): x for name, x in one.items()} for one in each]
             history.progress(f"looking for the {what}, from {pluralise(len(starts), 'start')}")
             rough, ends = problem.roughly(), list[Solved]()
             for start in starts:
@@ -418,38 +423,41 @@ class _Search:
             found = own.values(best.x)
             values, numbers = dict(zip(own.names, found, strict=True)), own.numbers(found)
             sigma = _reweight(best).sigma
-        end = self.settle(problem, self.go_on(_reweight(best), best, _CLOSE))
-        return conclude(end, history.tally.evaluations - before)
+        return _settle(problem, _descend(_reweight(best), best, _CLOSE, history), history)
 
-    # Descents
 
-    def descend(
-        self, problem: Simulated, x: FloatArray, aim: tuple[float, float], evaluations: int | None = None
-    ) -> Solved:
-        """Descend to a tolerance, or until a step promises too little, in steps that do not reach far."""
-        tolerance, worth = aim
-        limit, exact = min(evaluations or math.inf, self.how.evaluations), problem.floor / float(np.max(problem.sigma))
-        reach = problem.parameters.reach(problem.parameters.values(x))
-        return self.history.solve(problem, x, LevenbergMarquardt(tolerance, limit, reach, worth, exact))
+# Descents
 
-    def go_on(
-        self, problem: Simulated, end: Solved, aim: tuple[float, float], evaluations: int | None = None
-    ) -> Solved:
-        """Descend from an end, with other weights or simulated finer."""
-        if problem.logs is end.problem.logs:  # it is linearised there
-            error, slopes = linearise_again(end)
-            weights = problem.weights(error.size)
-            self.history.count_evaluations(problem).remember(end.x, error * weights, -slopes * weights[:, np.newaxis])
-        return self.descend(problem, end.x, aim, evaluations)
 
-    def settle(self, problem: Simulated, end: Solved) -> Solved:
-        """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
-        for _ in range(_TURNS):
-            weighed = replace(problem, sigma=_reweight(end).sigma)
-            end = self.go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size))
-            if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < _STEADY):
-                break
-        return end
+def _descend(
+    problem: Simulated,
+    start: FloatArray | Solved,
+    aim: tuple[float, float],
+    history: History,
+    evaluations: float = math.inf,
+) -> Solved:
+    """Descend to a tolerance, or until a step promises too little, in steps that do not reach far.
+
+    The start is a point, or an end that was weighed otherwise or simulated more roughly.
+    """
+    x = start.x if isinstance(start, Solved) else start
+    if isinstance(start, Solved) and start.problem.logs is problem.logs:  # it is linearised there
+        error, slopes = linearise_again(start)
+        weights = problem.weights(error.size)
+        history.count_evaluations(problem).remember(x, error * weights, -slopes * weights[:, np.newaxis])
+    (tolerance, worth), limit = aim, int(min(evaluations, history.evaluations))
+    reach, exact = problem.parameters.reach(problem.parameters.values(x)), problem.floor / float(np.max(problem.sigma))
+    return history.solve(problem, x, LevenbergMarquardt(tolerance, limit, reach, worth, exact))
+
+
+def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
+    """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
+    for _ in range(_TURNS):
+        weighed = replace(problem, sigma=_reweight(end).sigma)
+        end = _descend(weighed, end, (_FINE, _LAST / end.solution.residual.size), history)
+        if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < _STEADY):
+            break
+    return conclude(end, history.tally.evaluations)
 
 
 def _reweight(end: Solved) -> Simulated:
@@ -494,14 +502,3 @@ def _require_springs(robot: Robot, frequencies: Mapping[str, float], sample_time
             f"record of this sample time shows something; received {dict(frequencies)}: correct it, or give none at "
             "all to have them searched."
         )
-
-
-def _starts_of(
-    joint: RobotJoint, axis: int, linear: RobotFit, numbers: Numbers, known: Mapping[str, Parameter]
-) -> list[dict[str, float]]:
-    """Return the starts of one axis's laws from the fit with linear ones, by the names of the robot's parameters."""
-    own = {p.name: known.get(name_in_robot(joint.name, p.name)) for p in joint.model.parameters}
-    given = {name: p.start for name, p in own.items() if p is not None and p.start is not None}
-    values = values_of_joint(numbers, axis)
-    starts = law_starts(joint.model, joint.linear.model, values, linear.runs[0], axis, given)
-    return [{name_in_robot(joint.name, name): x for name, x in start.items()} for start in starts]
