@@ -82,7 +82,7 @@ def rigid(twin: Twin, duration: float, *, sample_time: float = 1e-3, delay: floa
     print(
         f"rigid DIDIM, {len(twin.robot)} joints, {duration:g} s at {1 / sample_time:g} Hz: "
         f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), "
-        f"{len(fit.names)} parameters, {fit.iterations} iterations",
+        f"{len(fit.parameters.names)} parameters, {fit.iterations} iterations",
         flush=True,
     )
     if checked:
@@ -99,8 +99,8 @@ def flexible(twin: Twin, duration: float, *, searched: bool) -> None:
     found = search_robot(twin.loop(), records, None, DIDIM(frequencies=given or {}))
     print(
         f"flexible DIDIM, {len(twin.robot)} joints, {duration:g} s, modes {'looked for' if searched else 'given'}: "
-        f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), {len(found.names)} parameters, {found.iterations} runs "
-        f"with derivatives, {sum(spring.shown for spring in found.springs)} springs shown",
+        f"{taken[0]:.2f} s (processor {taken[1]:.2f} s), {len(found.parameters.names)} parameters, "
+        f"{found.iterations} runs with derivatives, {sum(spring.shown for spring in found.springs)} springs shown",
         flush=True,
     )
 

@@ -223,7 +223,7 @@ def judge(seed: int, flexible: bool) -> Found | None:
         return Found()
     truth = fit.parameters.group(Numbers.of(made.loop.robot))
     free = np.array([one.lower < value for one, value in zip(fit.parameters.parameters, fit.values, strict=True)])
-    free &= ~np.array([name.startswith(refused) for name in fit.names])
+    free &= ~np.array([name.startswith(refused) for name in fit.parameters.names])
     free &= ~np.array([place.of_record for place in fit.parameters.places])
     std = np.maximum(fit.covariance.std, 1e-300)
     return Found(fit.converged, _left(made, fit), tuple(((fit.values - truth) / std)[free].tolist()))
@@ -233,5 +233,5 @@ def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
     problem = pose_robot(made.loop, made.records, fit.parameters)
     noise = problem.by_joint(decimate_each(problem.log, list(made.noise[: len(problem.measured)].T)))
-    left = problem.left_by(fit.numbers) * problem.sizes
+    left = problem.left_by(fit.problem.numbers(fit.x)) * problem.sizes
     return float(np.max(left / np.linalg.norm(noise, axis=1)))

@@ -87,7 +87,7 @@ def test_what_didim_will_report_is_predicted() -> None:
         values = one.torque.values + noise[k] * rng.normal(size=len(one.torque))
         drives.append(replace(one, torque=replace(one.torque, values=values)))
     fit = search_robot(loop, drives)
-    assert fit.names == found.proposed.joint
+    assert fit.parameters.names == found.proposed.joint
     # Runs scatter as predicted (-0.002 in the logarithm), and report 0.12 to 0.76 more: the covariance of a fit takes
     # the larger of two estimates.
     assert -0.1 < np.mean(np.log(fit.covariance.std / stds(found))) < 1.0

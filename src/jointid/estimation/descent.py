@@ -159,11 +159,7 @@ _ASIDE = 0.25  # of the reference's largest speed: a motor may move while its re
 
 
 def search_rigid_joint(
-    problem: ClosedLoopProblem,
-    starts: Sequence[Mapping[str, float]],
-    history: History,
-    *,
-    freed: bool = False,
+    problem: ClosedLoopProblem, starts: Sequence[Mapping[str, float]], history: History, *, freed: bool = False
 ) -> Solved:
     """Descend from each start to the least torque error, and return the best end.
 

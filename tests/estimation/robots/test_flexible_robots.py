@@ -67,7 +67,8 @@ def test_springs_come_back_with_their_intervals() -> None:
         assert spring.deviation < 0.03 * stiffness
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
     again = simulate(
-        RobotLoop(robot_with(twin.robot, found.numbers), twin.loop().controllers), twin.records(6.0, multisine=0.004)
+        RobotLoop(robot_with(twin.robot, found.problem.numbers(found.x)), twin.loop().controllers),
+        twin.records(6.0, multisine=0.004),
     )
     assert again.torque == pytest.approx(found.runs[0].torque, abs=1e-9)
 
@@ -78,7 +79,7 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
     (spring,) = found.springs
     assert spring.shown
     assert spring.stiffness == pytest.approx(stiffness_of(twin.robot)[0], rel=0.01)
-    assert "joint2.stiffness" not in found.names
+    assert "joint2.stiffness" not in found.parameters.names
 
 
 @pytest.mark.slow
@@ -92,7 +93,7 @@ def test_springs_behind_friction_that_rises_towards_standstill() -> None:
         assert abs(value - rise) < 3 * deviation < 0.5 * rise
     value, deviation = found.value("joint1.stribeck_speed")
     assert abs(value - 0.1) < 3 * deviation < 0.05
-    assert robot_with(twin.robot, found.numbers).joints[0].stribeck_speed == value
+    assert robot_with(twin.robot, found.problem.numbers(found.x)).joints[0].stribeck_speed == value
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.85
 
 

@@ -106,8 +106,8 @@ def test_two_axes_have_laws_of_their_own(laws: dict[str, tuple[str, str | None, 
     truth = fit.parameters.group(Numbers.of(loop.robot))
     assert fit.converged
     own = [name_in_robot(joint, name) for joint, (_, _, numbers) in laws.items() for name in numbers]
-    assert set(own) <= set(fit.names)
-    for name, value, std, true in zip(fit.names, fit.values, fit.covariance.std, truth, strict=True):
+    assert set(own) <= set(fit.parameters.names)
+    for name, value, std, true in zip(fit.parameters.names, fit.values, fit.covariance.std, truth, strict=True):
         assert abs(value - true) < 3.0 * std, name
         assert std < 0.5 * abs(true) or name not in own, name
 

@@ -87,8 +87,8 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
     assert fit.converged
     assert np.max(fit.relative_error) < 1e-6
     assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
-    assert ("joint1.viscous_backwards" in fit.names) == (what == "friction another backwards")
-    again = simulate(replace(loop, robot=robot_with(twin.robot, fit.numbers)), records)
+    assert ("joint1.viscous_backwards" in fit.parameters.names) == (what == "friction another backwards")
+    again = simulate(replace(loop, robot=robot_with(twin.robot, fit.problem.numbers(fit.x))), records)
     assert again.torque == pytest.approx(fit.runs[0].torque, abs=1e-8)
 
 

@@ -114,7 +114,7 @@ def test_a_known_delay_that_counts_from_a_timing_that_nobody_stated_is_searched(
 def test_a_record_that_begins_in_motion() -> None:
     twin = two((12.0, 18.0))
     found = identified(twin, logged(twin, duration=5.0, first=1500), frequencies=hertz(twin))
-    assert "joint1.initial_link_velocity" in found.names
+    assert "joint1.initial_link_velocity" in found.parameters.names
     assert_springs(found, twin, 0.02)
     assert inside(found, twin) > 0.8
 

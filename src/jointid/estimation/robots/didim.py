@@ -34,7 +34,7 @@ that search begins at the best rigid robot of several delays.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -45,7 +45,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import Parameter
 from jointid.common.text import join, pluralise
 from jointid.estimation.descent import ROUGH, History, Solved, law_starts
 from jointid.estimation.methods.didim import DIDIM
@@ -68,7 +68,7 @@ from jointid.models.controllers import numbers_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
-from jointid.simulation.plant import DELAY, Numbers, values_of_joint
+from jointid.simulation.plant import DELAY, values_of_joint
 from jointid.simulation.simulate import Outcome
 from jointid.solvers.solve import LevenbergMarquardt, Status
 from jointid.uncertainty.covariance import Covariance, Influence, white
@@ -141,28 +141,18 @@ class RobotFit:
         return self.problem.parameters
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return self.parameters.names
-
-    @property
     def values(self) -> FloatArray:
         """The parameters, (parameters,)."""
         return self.parameters.values(self.x)
 
-    @property
-    def numbers(self) -> Numbers:
-        """Numbers of the robot that was found."""
-        return self.parameters.numbers(self.values)
-
     def value(self, name: str) -> tuple[float, float]:
         """Return a parameter and its standard deviation."""
-        at = self.names.index(name)
+        at = self.parameters.names.index(name)
         return float(self.values[at]), float(self.covariance.std[at])
 
 
-def conclude(end: Solved, made: int, *, springs: bool = True) -> RobotFit:
-    """Return the fit at the end of a search, after so many evaluations; without `springs` it shows none.
+def conclude(end: Solved, made: int, most: float = 1.0 / _SHOWN) -> RobotFit:
+    """Return the fit at the end of a search, after so many evaluations; for `most` see `_judge_springs`.
 
     Raises:
         MethodError: the robot cannot be simulated there, or explains none of the torque; or a friction that grows with
@@ -200,20 +190,30 @@ def conclude(end: Solved, made: int, *, springs: bool = True) -> RobotFit:
             f"The records do not tell {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
             "Move faster, record longer, or state the delay in [controller] and do not free it."
         )
+    springs = _judge_springs(problem, x, covariance.std, most)
     covariance = replace(covariance, std=covariance.std * scales)
-    fit = RobotFit(problem, x, runs, J, covariance, left, made, end.solution.converged)
-    return replace(fit, springs=tuple(_judge_springs(fit, springs)))
+    return RobotFit(problem, x, runs, J, covariance, left, made, end.solution.converged, springs)
 
 
-def _judge_springs(fit: RobotFit, may_show: bool) -> Iterator[SpringVerdict]:
-    """Yield whether the records show the spring of each flexible joint."""
-    for parameter, place in zip(fit.parameters.free, fit.parameters.keys, strict=True):
+def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: float) -> tuple[SpringVerdict, ...]:
+    """Return whether the records show the spring of each flexible joint.
+
+    They do where a stiffness is off its bound and its deviation, that of the compliance as well, is less than a share.
+
+    Args:
+        problem: of the robot.
+        x: (free,) what is searched, stiffnesses on a logarithmic scale.
+        std: (free,) its deviations.
+        most: of a stiffness, its share.
+    """
+    found = list[SpringVerdict]()
+    for parameter, place, value, share in zip(problem.free, problem.keys, x, std, strict=True):
         if place.name == "stiffness":
-            stiffness, deviation = fit.value(parameter.name)
-            compliance, spread = 1.0 / stiffness, deviation / stiffness**2
-            shown = may_show and compliance > _SHOWN * spread and math.log(stiffness) < parameter.upper - _OFF
-            least = 1.0 / (compliance + _UNSEEN * spread)
-            yield SpringVerdict(parameter.name.rpartition(".")[0], shown, stiffness, deviation, least)
+            joint, stiffness = parameter.name.rpartition(".")[0], math.exp(value)
+            shown = 0.0 < share < most and value < parameter.upper - _OFF
+            least = stiffness / (1.0 + _UNSEEN * share)
+            found.append(SpringVerdict(joint, shown, stiffness, stiffness * float(share), least))
+    return tuple(found)
 
 
 def linearise_again(end: Solved) -> tuple[FloatArray, FloatArray]:
@@ -233,17 +233,8 @@ def search_robot(
 ) -> RobotFit:
     """Identify a robot from torques and references, or along the motion of its motors.
 
-    Args:
-        setup: the robot, whose joints with a spring are flexible, and its controllers; or the robot along its motors'
-            motion. Of its numbers only the links' places and gravity are read.
-        records: one for each joint, with torque and reference or with torque and motor position behind the gear, of one
-            log; or those of several logs. To show a spring the motion must excite its mode, as a multisine on top of it
-            does.
-        filtering: that torques, columns and derivatives go through alike, its cut-off above the modes; of measured
-            positions the cut-off is five times that.
-        settings: of the method.
-        known: values and bounds to keep, by name; see `apply_constraints`.
-        progress: receives each step.
+    For the arguments see `robots.simulated.identify_simulated_robot`. Of the robot's numbers only the links' places and
+    gravity are read. To show a spring the motion must excite its mode, as a multisine on top of it does.
 
     Raises:
         RecordError: a record lacks a channel, or has the wrong clock or unit.
@@ -351,7 +342,7 @@ class _Search:
         for i in np.flatnonzero([] if given else hertz):
             history.progress(f"{names[i]}: its mode is searched from {hertz[i]:.3g} Hz")
         problem, rough = start.bound(problem), start.bound(rough)
-        error = rough.error(rough.runs_of(rigid.numbers))
+        error = rough.error(rough.runs_of(rigid.problem.numbers(rigid.x)))
         without = float(np.linalg.norm(error * rough.weights(error.size)))
 
         def begin(hertz: FloatArray | float) -> Solved:
@@ -370,11 +361,13 @@ class _Search:
         lost = not end.solution.converged and end.norm > without
         if lost:  # no better than without springs: one that has none, or high modes, is found from stiff ones
             end = begin(start.stiff)
-        if not _may_show(end) or (lost and end.norm > without):
+        known = white(end.solution.jacobian, end.solution.residual)
+        hopeful = any(one.shown for one in _judge_springs(end.problem, end.x, known.std, 1.0 / _UNSEEN))
+        if not hopeful or (lost and end.norm > without):  # a longer search would find none
             with suppress(MethodError):
                 seen = _descend(replace(problem, sigma=rough.sigma), end, _CLOSE, history, evaluations=1)
                 seen = seen._replace(solution=replace(seen.solution, status=end.solution.status))
-                return conclude(seen, history.tally.evaluations, springs=False)
+                return conclude(seen, history.tally.evaluations, most=0.0)
         fit = _settle(problem, _descend(_reweight(end), end, _CLOSE, history), history)
         if np.all(problem.norms(problem.error(fit.runs)) >= problem.norms(problem.error(rigid.runs))):
             raise MethodError(
@@ -392,7 +385,10 @@ class _Search:
         robot, sigma, history = self.setup.robot, linear.problem.sigma, self.history
         given = dict(self.known)
         self.known |= {p.name: p for p in linear.parameters.parameters}  # springs have bounds that a search gave them
-        values, numbers = dict(zip(linear.names, linear.values, strict=True)), linear.numbers
+        numbers, values = (
+            linear.problem.numbers(linear.x),
+            dict(zip(linear.parameters.names, linear.values, strict=True)),
+        )
         changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
         for i in (*([-1] if late else []), *changed):
             joints = (*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :]))
@@ -464,15 +460,6 @@ def _reweight(end: Solved) -> Simulated:
     """Return the problem of an end with the sizes of the errors that are left."""
     problem: Simulated = end.problem
     return problem.reweight(linearise_again(end)[0], end.x.size)
-
-
-def _may_show(end: Solved) -> bool:
-    """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
-    known = white(end.solution.jacobian, end.solution.residual)
-    return any(
-        parameter.quantity is Quantity.STIFFNESS and 0.0 < std < 1.0 / _UNSEEN and value < parameter.upper - _OFF
-        for parameter, std, value in zip(end.problem.free, known.std, end.x, strict=True)
-    )
 
 
 def _leads_on(end: Solved) -> bool:

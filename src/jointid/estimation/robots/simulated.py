@@ -122,7 +122,8 @@ def identify_simulated_robot(
         records: of each joint, of one log or of several: with torque and reference, positions are not read; or with
             torque and motor position behind the gear, references are not read.
         settings: of the method.
-        filtering: of positions, torques and derivatives.
+        filtering: that torques, columns and derivatives go through alike, its cut-off above the modes; of measured
+            positions the cut-off is five times that.
         known: values and bounds to keep, by name; see `apply_constraints`.
         progress: receives the steps.
 

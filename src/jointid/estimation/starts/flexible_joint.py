@@ -78,12 +78,7 @@ _REST = 1e-4  # of the torque: what remains of a record without noise, and is no
 # Under a controller
 
 
-def search_flexible_joint(
-    problem: ClosedLoopProblem,
-    task: Task,
-    frequency: float | None,
-    history: History,
-) -> Solved:
+def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: float | None, history: History) -> Solved:
     """Return the least torque error of a flexible joint, see the module.
 
     Args:
