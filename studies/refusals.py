@@ -13,7 +13,7 @@ from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History, descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
-from jointid.estimation.starts.flexible_joint import frequency_of, on_band
+from jointid.estimation.spring_search import frequency_of, on_band
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import Influence

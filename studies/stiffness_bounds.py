@@ -20,7 +20,7 @@ from jointid.common.errors import JointidError
 from jointid.diagnostics.identify import identify
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.springs import SHARES
-from jointid.estimation.starts.flexible_joint import on_band
+from jointid.estimation.spring_search import on_band
 from jointid.models.controllers import PID, Cascade, Controller
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record

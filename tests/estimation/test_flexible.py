@@ -13,7 +13,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.starts import flexible_joint
+from jointid.estimation.spring_search import divide_coulomb_friction
 from jointid.paper.twin import Twin, twin
 from jointid.records.chunks import cut
 from jointid.records.record import Record
@@ -121,13 +121,13 @@ def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> 
     history = History(ignore_progress)
     for wrong in (0.15, 0.9):
         sides = {"motor_coulomb": wrong * whole, "load_coulomb": (1 - wrong) * whole}
-        found = flexible_joint.divide_coulomb_friction(problem, problem.vector(state | axis.truth | sides), history)
+        found = divide_coulomb_friction(problem, problem.vector(state | axis.truth | sides), history)
         assert found is not None
         values = problem.values(found)
         assert values["motor_coulomb"] == pytest.approx(axis.truth["motor_coulomb"], abs=0.05 * whole)
         assert values["motor_coulomb"] + values["load_coulomb"] == pytest.approx(whole, rel=0.05)
         assert values["stiffness"] == pytest.approx(axis.truth["stiffness"], rel=0.05)
-    assert flexible_joint.divide_coulomb_friction(problem, problem.vector(state | axis.truth), history) is None
+    assert divide_coulomb_friction(problem, problem.vector(state | axis.truth), history) is None
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import jointid as ji
 from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History, search_rigid_joint
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
+from jointid.estimation.rigid_starts import inversion_start, regular_start
 from jointid.models.controllers import Cascade
 from jointid.simulation.synthesis import simulated_record
 from tests.servos import servo

@@ -43,8 +43,8 @@ from jointid.estimation.parameters import DELAYS, DRIVE_AND_LOG, INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
-from jointid.estimation.starts.flexible_joint import frequencies_to_try, rigid_cutoff, start_with_mode
-from jointid.estimation.starts.rigid_joint import rigid_starts
+from jointid.estimation.rigid_starts import rigid_starts
+from jointid.estimation.spring_search import frequencies_to_try, rigid_cutoff, start_with_mode
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import still_faults

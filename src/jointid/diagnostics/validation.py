@@ -42,7 +42,7 @@ from jointid.estimation.problems.inverse_model import (
 from jointid.estimation.problems.simulated import outcome_of
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_check
-from jointid.estimation.starts.rigid_joint import fit_initial_state
+from jointid.estimation.rigid_starts import fit_initial_state
 from jointid.models.joints import ClosedLoop
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled

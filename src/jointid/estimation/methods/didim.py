@@ -2,7 +2,7 @@
 
 **A rigid joint.** The closed loop is simulated at the current parameters, and the torque error is made least, with the
 output sensitivities J = d tau_sim / d chi, from several starts: one answer, whatever the start. The starts are what
-IDIM finds on the motion that the controller must have seen, and a regular inertia (`starts.rigid_joint`). From each
+IDIM finds on the motion that the controller must have seen, and a regular inertia (`rigid_starts`). From each
 leads a descent with the motor at rest at the first sample, and from the best end one with it moving
 (`estimation.descent`).
 
@@ -13,7 +13,7 @@ fixed point lie further apart than the deviations of either; the interval is the
 
 **A flexible joint.** The load is not controlled, so the regressor on the simulated motion is no approximation of the
 Jacobian [P section IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque,
-by the same descents (`starts.flexible_joint`).
+by the same descents (`spring_search`).
 
 Nonlinear laws begin at the end with linear ones, and so does a search with more of the surroundings free. **A robot**
 is searched for by `estimation.robots`.
@@ -53,8 +53,8 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Settings
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks
-from jointid.estimation.starts.flexible_joint import NOTHING, rough_rigid_joint, search_flexible_joint
-from jointid.estimation.starts.rigid_joint import rigid_starts
+from jointid.estimation.rigid_starts import rigid_starts
+from jointid.estimation.spring_search import NOTHING, rough_rigid_joint, search_flexible_joint
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.simulation.plant import DELAY

@@ -9,7 +9,7 @@ which would smear them. Nor have those about reversals of a rigid joint.
 
 The search is that of a joint under its controller, along another run. Of a rigid joint the torque is linear in all but
 the delay, so that any start will do; a flexible one begins at a rigid one below the resonance
-(`starts.flexible_joint`).
+(`spring_search`).
 
 A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
 squares is biased: the intervals are widened for that (`Influence.widen_for_motion`).
@@ -39,7 +39,7 @@ from jointid.estimation.problems.simulated import MotionLog
 from jointid.estimation.result.build_result import build_estimate, find_active_bounds, rows_of_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Settings
-from jointid.estimation.starts.flexible_joint import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
+from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (

@@ -35,7 +35,7 @@ from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_fo
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
-from jointid.estimation.starts.flexible_joint import FASTEST, crossover, divide, frequency_of
+from jointid.estimation.spring_search import FASTEST, crossover, divide, frequency_of
 from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.solve import LevenbergMarquardt, Solution, Tally, damped_step, solve

@@ -10,7 +10,7 @@ below about a fifth of the first resonance.
 
 **Flexible joints**, with rotors' inertias and stiffnesses on a logarithmic scale:
 
-1. The robot of rigid joints, split into rotors, springs and links (`starts.robot_springs`).
+1. The robot of rigid joints, split into rotors, springs and links (`spring_search`).
 2. A frequency for each spring, given or the best of a row of them; and a rough descent from there.
 3. Where that leads nowhere: rough descents from one frequency of all springs, and from stiff springs. Of 200 random
    robots four, split into wrong rotors, looked best on wrong frequencies, and all came down from one frequency of all.
@@ -62,8 +62,8 @@ from jointid.estimation.parameters import (
 )
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, pose_robot
-from jointid.estimation.starts.rigid_joint import start_rigid_robot
-from jointid.estimation.starts.robot_springs import STIFFEST, SplitRobot
+from jointid.estimation.rigid_starts import start_rigid_robot
+from jointid.estimation.spring_search import STIFFEST, SplitRobot
 from jointid.models.controllers import numbers_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.signals.filtering import Filtering

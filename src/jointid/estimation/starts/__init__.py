@@ -1,1 +1,0 @@
-"""Starts of searches: starts for rigid and flexible joints, nonlinear laws and robots."""
