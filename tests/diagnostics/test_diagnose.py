@@ -167,6 +167,9 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     dead = replace(record.torque, values=0.0 * record.torque.values)
     found = diagnose(record.with_channels({"torque": dead}), loop)
     assert found.symptoms[0].code == "motion_poor"
+    still = record.with_channels({"reference": replace(record.reference, values=0.0 * record.reference.values)})
+    assert find_failure_causes(still, loop) is None
+    assert [one.code for one in diagnose(still, loop).symptoms] == ["motion_poor"]
     short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
     found = diagnose(Record(**short, name="short"), loop)  # type: ignore[arg-type]
     assert not found.healthy
@@ -187,13 +190,6 @@ def test_positions_alone_are_diagnosed_and_said_to_be_what_was_compared() -> Non
     (axis,) = found.axes
     assert axis.signal == "torque computed from the position"
     assert f"filtered {axis.signal}" in str(found)
-
-
-def test_a_reference_that_never_moves_is_no_misfit_to_be_explained() -> None:
-    record, loop = without_mistake(axis("rigid"))
-    still = record.with_channels({"reference": replace(record.reference, values=0.0 * record.reference.values)})
-    assert find_failure_causes(still, loop) is None
-    assert [one.code for one in diagnose(still, loop).symptoms] == ["motion_poor"]
 
 
 @pytest.mark.slow

@@ -108,11 +108,6 @@ def test_a_reference_that_is_filled_in_otherwise_is_named(law: Cascade | PD, way
     assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
 
 
-def test_a_reference_that_is_filled_in_as_declared_is_not_blamed() -> None:
-    record, loop = _filled_in("linear")
-    assert faults_of(identify(record, loop), record).as_declared
-
-
 def _said(estimate: ji.Estimate) -> str:
     """Return what the check of the loop says first."""
     return next(str(one) for one in estimate.checks if one.name is Subject.LOOP)
@@ -144,9 +139,9 @@ def test_a_reference_that_the_drive_averages_is_named_with_its_time(mean: float)
     assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
 
 
-def test_a_coarse_setpoint_that_is_held_is_not_blamed() -> None:
-    record, loop, _ = _averaged(0.0, coarse=4)
-    assert faults_of(identify(record, loop), record).as_declared
+def test_a_reference_that_is_filled_in_as_declared_and_a_coarse_one_that_is_held_are_not_blamed() -> None:
+    for record, loop in (_filled_in("linear"), _averaged(0.0, coarse=4)[:2]):
+        assert faults_of(identify(record, loop), record).as_declared
 
 
 @pytest.mark.slow

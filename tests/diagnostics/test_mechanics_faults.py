@@ -9,7 +9,6 @@ import pytest
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.considered import widen_for_faults
-from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.search import search_faults
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import (
@@ -29,6 +28,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason
+from jointid.models.position_forces import PositionHarmonics
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulate as simulate_exactly
@@ -134,6 +134,33 @@ def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, se
     assert after.interval[0] < truth < after.interval[1]
     assert found.answer.found.values["two_sigma"] == 2 * after.deviation
     assert found.answer.trust.code == Trust.NOT_YET
+    if fault == "cubic spring":
+        assert Reason.SPRING_NOT_LINEAR in found.answer.trust.values["reasons"]
+        size = found.diagnosis.axes[0].faults.findings[0].test.size
+        assert 0.05 <= size <= made.size  # at least so much, and not more than it is
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [100, 102, 103])
+def test_the_period_of_a_ripple_is_found(seed: int) -> None:
+    made = spoiled(seed, "cogging", 8.0)
+    check = faults_of(identify(made.record, made.axis.loop), made.record, most=1)
+    test, travel = check.findings[0].test, float(np.ptp(made.record.reference.values))
+    assert test.name == "cogging"
+    assert travel / test.shape == pytest.approx(travel / made.truth["pitch"], abs=0.6)  # half a time over the travel
+    assert test.size == pytest.approx(made.truth["cogging"], rel=0.3)
+    assert check.reasons[0].code == Reason.FORCE_FOLLOWS_POSITION
+    assert "[ripple] period = " in str(check.reasons[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("declared", [False, True])
+def test_none_is_found_where_there_is_none_or_it_is_declared(declared: bool) -> None:
+    made = spoiled(103, "cogging" if declared else "none", 8.0)
+    ripple = PositionHarmonics(made.truth["pitch"]) if declared else None
+    loop = replace(made.axis.loop, joint=replace(made.axis.loop.joint, ripple=ripple))
+    found = [one.p_value for one in faults_of(identify(made.record, loop), made.record).tests if one.name == "cogging"]
+    assert not found if declared else found[0] > 0.05
 
 
 GEARED = {
@@ -187,17 +214,6 @@ def test_a_load_friction_on_either_side_is_in_the_interval(seed: int) -> None:
     assert [one.test.name for one in check.findings] == ["load_dependent_friction"]
     assert check.tests[0].size == pytest.approx(0.1, abs=0.02)
     assert -0.2 < check.findings[0].changes["stiffness"].by / GEARED["stiffness"] < -0.05
-
-
-@pytest.mark.slow
-def test_a_spring_that_is_not_linear_has_no_stiffness_to_rely_on() -> None:
-    made = spoiled(3005, "cubic spring")
-    found = ji.identify(made.record, made.axis.loop)
-    assert found.answer.trust.code == Trust.NOT_YET
-    assert Reason.SPRING_NOT_LINEAR in found.answer.trust.values["reasons"]
-    assert isinstance(found.diagnosis, Diagnosis)
-    size = found.diagnosis.axes[0].faults.findings[0].test.size
-    assert 0.05 <= size <= made.size  # at least so much, and not more than it is
 
 
 def test_what_the_user_holds_is_not_tried_otherwise() -> None:

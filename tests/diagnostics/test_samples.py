@@ -12,7 +12,6 @@ from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_
 from jointid.estimation.result.verdict import Reason
 from jointid.records.record import Channel, Record
 from studies.mechanics import lose
-from tests.mistakes import AxisName, axis, run
 
 T = 1e-3
 REFERENCE = ji.excitation.trapezoids((0.5, 1.0), 4.0, 1.0, T, rest=0.5, duration=8.0)
@@ -128,28 +127,14 @@ def test_a_new_zero_and_steps_that_a_drive_makes_smooth_are_named(edit: Any, cau
         assert (None if found is None else found.values["causes"][0]["cause"]) == cause
 
 
-def smaller(name: AxisName, share: float) -> Record:
-    """An axis that is asked for so much of its motion only, with little of its noise."""
-    made = axis(name)
-    reference = made.reference[0] + share * (made.reference - made.reference[0])
-    made = replace(made, reference=reference, noise=0.03 * made.noise, log_noise=0.03 * made.log_noise)
-    return run(made, made.controller)
-
-
-@pytest.mark.parametrize(("name", "share"), [("direct", 4e-4), ("flexible", 2e-5)])
-def test_an_axis_that_its_friction_holds_hardly_moves(name: AxisName, share: float) -> None:
-    record = smaller(name, share)
-    assert np.ptp(record.motor_position.values) == 0  # type: ignore[union-attr]
-    assert find_standstill(record).code is Reason.HARDLY_MOVES  # type: ignore[union-attr]
-    assert find_standstill(smaller(name, 1.0)) is None
-
-
-def test_a_few_steps_of_an_encoder_are_hardly_a_motion() -> None:
-    record = smaller("direct", 0.01)
+@pytest.mark.parametrize("steps", [0.4, 6])  # of an encoder: the friction holds it, or hardly lets it go
+def test_an_axis_that_moves_by_a_few_steps_of_its_encoder_hardly_moves(steps: float) -> None:
+    record = ji.simulated_record(LOOP, short_moves(), TRUTH, sample_time=1e-3)
     motor = record.motor_position
-    step = np.ptp(motor.values) / 6
-    coarse = record.with_channels({"motor_position": replace(motor, values=step * np.round(motor.values / step))})
-    assert find_standstill(coarse).code is Reason.HARDLY_MOVES  # type: ignore[union-attr]
+    step = np.ptp(motor.values) / steps
+    values = motor.values[0] + step * np.round((motor.values - motor.values[0]) / step)
+    message = find_standstill(record.with_channels({"motor_position": replace(motor, values=values)}))
+    assert message is not None and message.code is Reason.HARDLY_MOVES
     assert find_standstill(record) is None
 
 

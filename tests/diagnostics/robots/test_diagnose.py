@@ -20,13 +20,6 @@ from tests.estimation.robots.twin import SAMPLE_TIME, arm, axis_errors, identifi
 from tests.robots_plants import two
 
 
-def with_torque(records: Sequence[Record], joint: int, added: FloatArray) -> tuple[Record, ...]:
-    """Return records with a torque added at one joint."""
-    torque = records[joint].torque
-    more = replace(records[joint], torque=replace(torque, values=torque.values + added))
-    return (*records[:joint], more, *records[joint + 1 :])
-
-
 def logged_by(loop: RobotLoop, drives: Sequence[Record] | None = None) -> tuple[Record, ...]:
     """Return what the drives of two joints log, with a thousandth of noise."""
     driven = two().records(6.0) if drives is None else drives
@@ -122,12 +115,11 @@ def more_current(torque: FloatArray) -> FloatArray:
 
 def under_load(records: Sequence[Record], q: FloatArray, v: FloatArray) -> Sequence[Record]:
     del q
-    torque = records[1].torque
-    return with_torque(records, 1, 0.1 * np.abs(torque.values) * np.sign(v))
+    return logged_torque(records, 1, lambda torque: torque + 0.1 * np.abs(torque) * np.sign(v))
 
 
 def along_the_travel(records: Sequence[Record], q: FloatArray, v: FloatArray) -> Sequence[Record]:
-    return with_torque(records, 1, 2.0 * np.sign(v) * (2.0 * (q - q.min()) / np.ptp(q) - 1.0))
+    return logged_torque(records, 1, lambda torque: torque + 2.0 * np.sign(v) * (2.0 * (q - q.min()) / np.ptp(q) - 1.0))
 
 
 @pytest.mark.parametrize(
@@ -179,7 +171,7 @@ def test_a_model_that_holds_leaves_noise() -> None:
 def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     records = records_of(arm(4), 2, noise=0.02)
     v = motion(2, 4)[1][:, 3]
-    more = with_torque(records, 3, 1.5 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
+    more = logged_torque(records, 3, lambda torque: torque + 1.5 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
     found = diagnose_robot(identified(arm(4), more), more)
     assert [one.name for one in found.axes if not one.explained] == ["joint4"]
     assert named(found) == [("joint4", "stribeck")]
@@ -199,7 +191,7 @@ def test_a_friction_that_differs_by_direction_is_named_until_it_is_declared() ->
 @pytest.mark.slow
 def test_the_motion_of_another_joint_is_named() -> None:
     records = records_of(arm(), 2, noise=0.02)
-    more = with_torque(records, 4, 0.3 * motion(2)[2][:, 5])
+    more = logged_torque(records, 4, lambda torque: torque + 0.3 * motion(2)[2][:, 5])
     assert named(diagnose_robot(identified(arm(), more), more)) == [("joint5", "coupled_joint6")]
 
 

@@ -242,9 +242,10 @@ def search_robot(
             missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
             several logs along a motion begins in motion.
     """
-    how: Any = settings or (DriveSideFit() if isinstance(setup, RobotDriveSide) else DIDIM())
+    along = isinstance(setup, RobotDriveSide)
+    how: Any = settings or (DriveSideFit() if along else DIDIM())
     return _Search(
-        setup, records, filtering, how, dict(known or {}), History(progress, evaluations=how.evaluations)
+        setup, along, records, filtering, how, dict(known or {}), History(progress, evaluations=how.evaluations)
     ).search()
 
 
@@ -253,16 +254,12 @@ class _Search:
     """The search of a robot, its evaluations counted; see `search_robot` for its arguments."""
 
     setup: Any
+    along: bool
     records: Records
     filtering: Filtering | None
     how: Any
     known: dict[str, Parameter]
     history: History
-
-    @property
-    def along(self) -> bool:
-        """Whether the motors move as they did."""
-        return isinstance(self.setup, RobotDriveSide)
 
     def pose(
         self, under: Any, through: Filtering | None, freed: Sequence[int] = (), *, rigid: bool = False
@@ -365,10 +362,10 @@ class _Search:
         hopeful = any(one.shown for one in _judge_springs(end.problem, end.x, known.std, 1.0 / _UNSEEN))
         if not hopeful or (lost and end.norm > without):  # a longer search would find none
             with suppress(MethodError):
-                seen = _descend(replace(problem, sigma=rough.sigma), end, _CLOSE, history, evaluations=1)
+                seen = _go_on(replace(problem, sigma=rough.sigma), end, _CLOSE, history, evaluations=1)
                 seen = seen._replace(solution=replace(seen.solution, status=end.solution.status))
                 return conclude(seen, history.tally.evaluations, most=0.0)
-        fit = _settle(problem, _descend(_reweight(end), end, _CLOSE, history), history)
+        fit = _settle(problem, _go_on(_reweight(end), end, _CLOSE, history), history)
         if np.all(problem.norms(problem.error(fit.runs)) >= problem.norms(problem.error(rigid.runs))):
             raise MethodError(
                 "A robot of rigid joints explains the torque of every joint better than the one that the search of "
@@ -419,28 +416,27 @@ class _Search:
             found = own.values(best.x)
             values, numbers = dict(zip(own.names, found, strict=True)), own.numbers(found)
             sigma = _reweight(best).sigma
-        return _settle(problem, _descend(_reweight(best), best, _CLOSE, history), history)
+        return _settle(problem, _go_on(_reweight(best), best, _CLOSE, history), history)
 
 
 # Descents
 
 
-def _descend(
-    problem: Simulated,
-    start: FloatArray | Solved,
-    aim: tuple[float, float],
-    history: History,
-    evaluations: float = math.inf,
+def _go_on(
+    problem: Simulated, end: Solved, aim: tuple[float, float], history: History, evaluations: float = math.inf
 ) -> Solved:
-    """Descend to a tolerance, or until a step promises too little, in steps that do not reach far.
-
-    The start is a point, or an end that was weighed otherwise or simulated more roughly.
-    """
-    x = start.x if isinstance(start, Solved) else start
-    if isinstance(start, Solved) and start.problem.logs is problem.logs:  # it is linearised there
-        error, slopes = linearise_again(start)
+    """Descend from an end, with other weights or simulated finer."""
+    if problem.logs is end.problem.logs:  # it is linearised there
+        error, slopes = linearise_again(end)
         weights = problem.weights(error.size)
-        history.count_evaluations(problem).remember(x, error * weights, -slopes * weights[:, np.newaxis])
+        history.count_evaluations(problem).remember(end.x, error * weights, -slopes * weights[:, np.newaxis])
+    return _descend(problem, end.x, aim, history, evaluations)
+
+
+def _descend(
+    problem: Simulated, x: FloatArray, aim: tuple[float, float], history: History, evaluations: float = math.inf
+) -> Solved:
+    """Descend to a tolerance, or until a step promises too little, in steps that do not reach far."""
     (tolerance, worth), limit = aim, int(min(evaluations, history.evaluations))
     reach, exact = problem.parameters.reach(problem.parameters.values(x)), problem.floor / float(np.max(problem.sigma))
     return history.solve(problem, x, LevenbergMarquardt(tolerance, limit, reach, worth, exact))
@@ -450,7 +446,7 @@ def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
     """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
     for _ in range(_TURNS):
         weighed = replace(problem, sigma=_reweight(end).sigma)
-        end = _descend(weighed, end, (_FINE, _LAST / end.solution.residual.size), history)
+        end = _go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size), history)
         if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < _STEADY):
             break
     return conclude(end, history.tally.evaluations)
