@@ -94,7 +94,7 @@ def test_a_log_that_is_late_is_told_from_damping(late: int) -> None:
     assert_springs(found, twin, 0.02)
     assert inside(found, twin) > 0.85
     given = identified(twin, records, frequencies=hertz(twin), log_delay=late * 1e-3)
-    assert "log_delay" not in given.names
+    assert "log_delay" not in given.parameters.names
     assert inside(given, twin) > 0.85
 
 
