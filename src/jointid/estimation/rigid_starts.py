@@ -7,7 +7,7 @@ encoders. Or else the motor follows its reference.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -66,8 +66,7 @@ def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[st
 def inversion_start(problem: ClosedLoopProblem) -> dict[str, float]:
     """Return a start by IDIM on the reconstructed position."""
     torque, position = _turn_round(problem)
-    found = _regress_joint(problem, torque, position, problem.axis.law.delay)
-    return _apply_fixed_values(problem, found | first_state(problem, position))
+    return _regress_joint(problem, torque, position, problem.axis.law.delay) | first_state(problem, position)
 
 
 def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
@@ -76,12 +75,9 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
     periods = experiment.clock.log_index // experiment.clock.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
     torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
-    tracked = _regress_joint(problem, torque, reference, 0.0)
-    known = next(p for p in problem.parameters if p.name == "inertia")
-    nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
-    regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
-    regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
-    return _apply_fixed_values(problem, regular)
+    regular = {p.name: 0.0 if p.free else p.start or 0.0 for p in problem.parameters}
+    regular["inertia"] = abs(_regress_joint(problem, torque, reference, 0.0)["inertia"])
+    return regular | {"initial_position": float(reference[0]), "initial_velocity": 0.0}
 
 
 def fit_initial_state(problem: ClosedLoopProblem) -> FloatArray:
@@ -96,11 +92,6 @@ def fit_initial_state(problem: ClosedLoopProblem) -> FloatArray:
     both, solver = (problem.keeping({"initial_velocity": 0.0}), problem), LevenbergMarquardt(1e-9, _EVALUATIONS)
     ends = [Solved(p, solve(p, solver, p.vector(start))) for p in both]
     return problem.vector(min(ends, key=lambda end: end.norm).values)
-
-
-def _apply_fixed_values(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
-    """Set every fixed parameter to its fixed value."""
-    return {**values, **{p.name: p.start or 0.0 for p in problem.parameters if not p.free}}
 
 
 def _regress_joint(
