@@ -203,7 +203,7 @@ def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
     """Return the problem of a task with its joint taken for rigid, with linear laws."""
     assert task.loop is not None
     joint = task.loop.joint
-    joint = joint.rigid if isinstance(joint, FlexibleJoint) else joint.linear
+    joint = (joint.rigid if isinstance(joint, FlexibleJoint) else joint).linear
     return torque_problem(task.record, replace(task.loop, joint=joint), Filtering(cutoff=cutoff), joint.parameters)
 
 

@@ -55,7 +55,7 @@ from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks
 from jointid.estimation.rigid_starts import rigid_starts
 from jointid.estimation.spring_search import NOTHING, rough_rigid_joint, search_flexible_joint
-from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.controllers import REFERENCE, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.simulation.plant import DELAY
 from jointid.solvers.regression import refuse_idle
@@ -79,10 +79,7 @@ class DIDIM(Method):
     needs_controller = True
 
     tolerance: float = setting(
-        1e-8,
-        "change of the criterion, and of the parameters, to stop at, as a share",
-        above=0,
-        systems=MODELS,
+        1e-8, "change of the criterion, and of the parameters, to stop at, as a share", above=0, systems=MODELS
     )
     frequency: float | None = setting(
         None,
@@ -167,8 +164,7 @@ class DIDIM(Method):
         linear = problem if problem.joint == problem.joint.linear else problem.with_joint(problem.joint.linear)
         require_free(linear.free_joint)
         if model == "flexible":
-            own = replace(task, joint=linear.joint, loop=linear.loop)
-            solved = search_flexible_joint(linear, own, self.frequency, history)
+            solved = search_flexible_joint(linear, task, self.frequency, history)
         else:
             starts = rigid_starts(linear, task.progress)
             solved = search_rigid_joint(linear, starts, history, freed=bool(self.free))
@@ -203,15 +199,14 @@ def _pose(task: Task) -> ClosedLoopProblem:
 
     Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
     """
-    record, loop = task.record, task.loop
-    assert loop is not None
+    assert task.loop is not None
+    problem, (position, velocity) = (
+        torque_problem(task.record, task.loop, task.filtering, task.parameters),
+        INITIAL_STATE,
+    )
     if task.joint.model == "rigid":
-        return torque_problem(record, loop, task.filtering, task.parameters)
-    record.require(("reference",), "DIDIM")
-    assert record.reference is not None
-    position, velocity = INITIAL_STATE
-    around = replace(position, start=float(record.reference.values[0])), velocity.fix(0.0)
-    problem = torque_problem(record, loop, task.filtering, task.parameters, around)
-    if loop.joint.gravity is None:
         return problem
-    return problem.replace_parameters({position.name: replace(position, start=beginning_position(problem))})
+    home = float(problem.axis.inputs[0, REFERENCE]) if task.joint.gravity is None else beginning_position(problem)
+    position, velocity = INITIAL_STATE
+    rest = {position.name: replace(position, start=home), velocity.name: velocity.fix(0.0)}
+    return problem.replace_parameters(rest)
