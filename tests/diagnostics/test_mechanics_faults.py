@@ -25,9 +25,8 @@ from jointid.diagnostics.suspects import (
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import Reason
+from jointid.estimation.result.verdict import Reason, Trust
 from jointid.models.position_forces import PositionHarmonics
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.loop_input import prepare

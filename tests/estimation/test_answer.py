@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import AGAINST_EVERY_VALUE, Check, Reason, StiffnessBound, Subject
+from jointid.estimation.result.verdict import AGAINST_EVERY_VALUE, Check, Reason, StiffnessBound, Subject, Trust
 from jointid.estimation.result.verdict import judged as with_verdicts
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from tests.estimates import amended

@@ -9,8 +9,8 @@ import pytest
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import interval
-from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
-from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
+from jointid.estimation.result import estimate as result
+from jointid.estimation.result.estimate import Data, Estimate, EstimatedParameter, Fit, Settings
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers
@@ -54,7 +54,7 @@ ESTIMATE = Estimate(
         record="run 1",
         sample_time=1e-3,
         torque_unit="N",
-        fingerprints=(fingerprint(TORQUE),),
+        fingerprints=(result.fingerprint(TORQUE),),
     ),
     settings=Settings(
         method="didim",
@@ -125,8 +125,8 @@ def test_a_spoiled_answer_is_refused_in_a_sentence(text: str, tmp_path: Path) ->
 def test_the_error_leaves_out_the_borders() -> None:
     predicted = TORQUE.copy()
     predicted[:50] = 1e6
-    assert relative_error(TORQUE, predicted, (50, 0)) == 0.0
-    assert relative_error(TORQUE, predicted, (49, 0)) > 1.0
+    assert result.relative_error(TORQUE, predicted, (50, 0)) == 0.0
+    assert result.relative_error(TORQUE, predicted, (49, 0)) > 1.0
 
 
 @pytest.mark.parametrize("slow", [2e-3, 3.1e-3, 16e-3, 1.0])
@@ -139,7 +139,7 @@ def test_a_law_with_a_slower_loop_and_no_period_of_its_own_has_a_fingerprint(slo
         )
         for position_gain, offset in ((1.0, 0.0), (1.0, 0.0), (1.1, 0.0), (1.0, slow / 2))
     ]
-    first, again, *others = (law_fingerprint(loop) for loop in loops)
+    first, again, *others = (result.law_fingerprint(loop) for loop in loops)
     assert first == again
     assert first not in others
 

@@ -41,7 +41,9 @@ def test_a_problem_s_derivatives_are_those_of_its_residual() -> None:
     plant = random_plant(3)
     problem = torque_problem(plant.record, plant.loop, Filtering(), plant.loop.joint.parameters)
     names = ("motor_viscous", "load_viscous", "offset")
-    at = SpringProblem(problem.all_free(), names, {}, (1.0, 400.0))
+    joint = ("motor_inertia", "load_inertia", "stiffness", "damping")
+    problem = problem.keeping({p.name: p.start or 0.0 for p in problem.free if p.name not in (*names, *joint)})
+    at = SpringProblem(problem, (1.0, 400.0))
     known = {"inertia": 1.1 * (plant.truth["motor_inertia"] + plant.truth["load_inertia"]), "ratio": 0.05}
     known |= {"share": 0.3, "mode": 50.0} | {name: plant.truth[name] for name in names}
     x = np.array([known[p.name] for p in at.free])
@@ -69,7 +71,8 @@ class Told(ModeProfile):
 
 
 def told(threshold: float, *, dip: bool = False) -> Told:
-    made = Told(None, (), (10.0, 300.0), threshold)  # type: ignore[arg-type]  # its cost needs no problem
+    described = SpringProblem(None, (10.0, 300.0))  # type: ignore[arg-type]  # its cost needs no problem
+    made = Told(described, threshold=threshold)
     start = {"inertia": 2.0, "ratio": 0.03, "share": 0.3}
     made.stiff = made.fit(start, 1, mode=300.0)
     made.points = [made.fit(start, 1, mode=float(mode)) for mode in np.geomspace(300.0, 10.0, 10)[1:]]

@@ -11,8 +11,7 @@ import pytest
 from jointid.common.transmission import Transmission
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import PositionHarmonics

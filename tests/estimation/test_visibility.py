@@ -12,10 +12,9 @@ from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.result.answer import told_bounds
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
-from jointid.estimation.result.verdict import POOR_FIT
+from jointid.estimation.result.verdict import POOR_FIT, told_bounds
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin

@@ -15,7 +15,6 @@ from jointid.campaigns.run import Outcome, Row
 from jointid.common.charts import ERROR, MEASURED, SIMULATED, mark, panels, styled, svg
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Picture, Table
 from jointid.common.text import join, number, pluralise, short
-from jointid.estimation.result.parts import format_signed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -140,7 +139,7 @@ class CampaignReport(Documented):
 
     def _outlier_blocks(self, most: int | None) -> Iterator[Block]:
         runs = [
-            (one.joint, one.quantity, one.labels[k], format_signed(100 * (value / level - 1), 3), number(abs(off), 2))
+            (one.joint, one.quantity, one.labels[k], number(100 * (value / level - 1), 3, "+"), number(abs(off), 2))
             for one in self.series
             for level in [float(np.median(one.values))]
             for k, (value, off) in enumerate(zip(one.values, one.outlying, strict=True))
@@ -167,7 +166,7 @@ def _loss_row(one: Loss) -> tuple[str, ...]:
 def _drift_row(one: Change) -> tuple[str, ...]:
     scale = 100 / abs(one.before) if one.before else float("inf")
     return (
-        name_series(one.series.joint, one.series.changes), one.series.quantity, format_signed(one.change_percent, 3),
+        name_series(one.series.joint, one.series.changes), one.series.quantity, number(one.change_percent, 3, "+"),
         number(2 * scale * one.std, 2), one.kind, one.since, number(one.p_value, 2),
     )  # fmt: skip
 

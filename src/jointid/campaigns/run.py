@@ -33,9 +33,8 @@ from jointid.common.messages import Progress, ignore_progress, pace
 from jointid.common.parallel import THREADS, begin_worker, threads, without_interrupts
 from jointid.common.text import pluralise
 from jointid.config import loads
-from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.fields import read
-from jointid.estimation.result.verdict import POOR_FIT
+from jointid.estimation.result.verdict import POOR_FIT, Trust
 
 _PATIENCE = 10.0  # s that a scheduler has to answer
 _LOOK = 5.0  # s without a result, after which it is seen whether any can come

@@ -21,16 +21,16 @@ def short(text: str, longest: int = 40) -> str:
     return said if len(text) <= longest else f"{said[: longest - 3]}..."
 
 
-def number(value: float | None, digits: int = 5) -> str:
-    """Format a number with significant digits, a dash for None."""
+def number(value: float | None, digits: int = 5, sign: str = "") -> str:
+    """Format a number with significant digits, of either sign with "+"; a dash for None."""
     if value is None:
         return "-"
     if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
+        return f"{value:{sign}g}"
     if 1e-3 <= abs(value) < 1e6:
         places = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
-        return f"{value:.{places}f}"
-    return f"{value:.{digits - 1}e}"
+        return f"{value:{sign}.{places}f}"
+    return f"{value:{sign}.{digits - 1}e}"
 
 
 def interval(value: float, spread: float) -> str:

@@ -16,8 +16,8 @@ from typing import Any
 from jointid.common.document import Document, Documented, Facts, Table
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import in_words, join, number
+from jointid.estimation.result.estimate import EstimatedParameter
 from jointid.estimation.result.fields import read
-from jointid.estimation.result.parts import EstimatedParameter
 
 LEVEL = 0.05
 """Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""

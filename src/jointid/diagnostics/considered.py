@@ -26,10 +26,8 @@ from jointid.diagnostics.score import score
 from jointid.diagnostics.search_state import INTERVAL
 from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, AxisFaults, Fault, FaultSignature
 from jointid.estimation.problems.simulated import decimate_each
-from jointid.estimation.result.answer import SLIGHT
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter
-from jointid.estimation.result.verdict import Widening
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter
+from jointid.estimation.result.verdict import SLIGHT, Widening
 from jointid.estimation.robots.didim import RobotFit
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.controllers.servo_base import DiagramController

@@ -15,8 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.estimation.result.parts import IN_WINDOWS
+from jointid.estimation.result.estimate import IN_WINDOWS, Estimate, fingerprint
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.covariance import Influence

@@ -18,7 +18,6 @@ from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.parts import format_signed
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction
@@ -186,7 +185,7 @@ class ParameterShift:
     unit: str = ""
 
     def __str__(self) -> str:
-        return f"{self.symbol} by {format_signed(self.by, 3)} {self.unit} ({abs(self.sigmas):.1f} sigma)"
+        return f"{self.symbol} by {number(self.by, 3, '+')} {self.unit} ({abs(self.sigmas):.1f} sigma)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +318,7 @@ class AxisFaults:
         unit, factor = {"ms": ("ms", 1e3), "%": ("%", 100.0)}.get(measure, (self.units.get(measure, ""), 1.0))
         if test.declared and not measure:  # a number in percent of its declaration
             unit, factor = "% of what is declared", 100.0 / abs(test.declared)
-        size = f"{format_signed(factor * test.size, 3)} ± {number(2 * factor * test.std, 2)} {unit}"
+        size = f"{number(factor * test.size, 3, '+')} ± {number(2 * factor * test.std, 2)} {unit}"
         return f"{fault.title}: {size}" if unit and 2 * test.std < abs(test.size) else fault.title
 
 

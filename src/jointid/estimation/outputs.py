@@ -89,7 +89,7 @@ def state_scale(fit: Estimate, records: Logs) -> Estimate:
     checks = (*fit.checks, scale_check(known, lost, identified=freed))
     read = {*fit.data.channels, "motor_position", *(name for *_, law in computed for name in law.channels)}
     data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
-    return replace(fit, checks=checks, data=data, undetermined=lost)
+    return replace(fit, checks=checks, data=data)
 
 
 def state_timing(fit: Estimate, records: Logs) -> Estimate:

@@ -14,19 +14,11 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.methods.registry import METHODS, method_of
-from jointid.estimation.parameters import (
-    LOG_DELAY,
-    RobotParameters,
-    add_delays,
-    apply_constraints,
-    log_delay,
-    robot_parameters,
-)
+from jointid.estimation.parameters import LOG_DELAY, add_delays, apply_constraints, log_delay, robot_parameters
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.problems.simulated import of_record
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimate import Data, Estimate, EstimatedParameter, Fit, Settings
 from jointid.estimation.result.fields import finite, read
-from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
 from jointid.estimation.result.verdict import Check, judged
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
@@ -56,42 +48,36 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
         KeyError, TypeError, ValueError, ...: the document is damaged.
     """
     settings, fit, robot, part = answer["settings"], answer["fit"], None, None
-    rows = tuple(replace(read(EstimatedParameter, one), name=key) for key, one in answer["parameters"].items())
+    rows = {key: read(EstimatedParameter, one, name=key) for key, one in answer["parameters"].items()}
     if settings["method"] not in METHODS:
         raise ValueError
     if isinstance(system, Joint):
         known = {p.name for p in system.parameters} | {ENCODER_OFFSET.name}
-        if beyond := [row.name for row in rows if row.of_joint and row.name.partition("@")[0] not in known]:
+        if beyond := [name for name, row in rows.items() if row.of_joint and name.partition("@")[0] not in known]:
             raise RecordError(f"it has {', '.join(beyond)}, and this joint has not; declare the same joint")
         if loop is not None:  # with the numbers of the controller that were identified beside the joint
-            freed = {row.name: row.value for row in rows if row.free and row.value is not None}
+            freed = {name: row.value for name, row in rows.items() if row.free and row.value is not None}
             of_law = freed.keys() & numbers_of(loop.controller).keys()
             loop = replace(loop, controller=with_numbers(loop.controller, {name: freed[name] for name in of_law}))
     else:
         robot = system if isinstance(system, Robot) else system.robot
-        part = _restore_robot(answer, system, robot, {row.name: row for row in rows})
+        part = _restore_robot(answer, system, robot, rows)
         if [*fit["axis_errors"]] != [*robot.names]:
             raise ValueError
     shares = {name: _share(fit[name]) for name in ("relative_error", "filtered_error")}
     of_axes = {key: {name: _share(one) for name, one in fit[key].items()} for key in ("axis_errors", "nominal_errors")}
     empty = np.zeros((0,) if robot is None else (0, len(robot)))
-    found = judged(
-        Estimate(
-            rows,
-            _correlation(answer, sum(row.free for row in rows), robot is not None),
-            read(Fit, fit, measured=empty, predicted=empty, conditioning=None, **shares, **of_axes),
-            read(Data, answer["data"], resampled=None, windows=None),
-            read(
-                Settings, settings, system=robot or system,
-                loop=loop if method_of(settings["method"]).needs_controller else None,
-                controller=str(answer["controller_sha256"]),
-            ),
-            checks=read(tuple[Check, ...], answer["checks"]),
-            warnings=read(tuple[str, ...], answer["warnings"]),
-            notes=read(tuple[str, ...], answer["notes"]),
-            robot=part,
-        )
+    law = loop if method_of(settings["method"]).needs_controller else None
+    said = {name: read(tuple[str, ...], answer[name]) for name in ("warnings", "notes")}
+    found = Estimate(
+        tuple(rows.values()),
+        _correlation(answer, sum(row.free for row in rows.values()), robot is not None),
+        read(Fit, fit, measured=empty, predicted=empty, conditioning=None, **shares, **of_axes),
+        read(Data, answer["data"], resampled=None, windows=None),
+        read(Settings, settings, system=robot or system, loop=law, controller=str(answer["controller_sha256"])),
+        read(tuple[Check, ...], answer["checks"]), robot=part, **said,
     )  # fmt: skip
+    found = judged(found)
     found.summary(details=True)  # what cannot be described is damaged
     return found
 
@@ -110,60 +96,45 @@ def _restore_robot(
         RecordError: it is another one, has no controllers where they are needed, or a value is refused.
     """
     settings = answer["settings"]
+    method: str = settings["method"]
     setup: RobotSystem = RobotDriveSide(robot)
     if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):
         raise RecordError(f"it is of the joints {', '.join(stated)}, and this robot has {', '.join(robot.names)}")
     if refused := [name for name, row in rows.items() if row.value is None]:
         raise RecordError(f"it refuses {', '.join(refused)}, so it predicts no torque; identify these joints as rigid")
-    if settings["method"] == "idim":
+    if method == "idim":
         robot = robot.rigid
         setup = replace(system, robot=robot) if isinstance(system, RobotLoop) else robot
         parameters = robot_parameters(robot, whole=False)
     else:
-        parameters = _parameters(robot, rows, settings["log_delay"], finite(answer["data"]["sample_time"]))
-    if settings["method"] == "didim":
+        fixed = [row for row in rows.values() if not row.free]
+        known = {row.name: Parameter(row.name, row.symbol, Quantity.FORCE).fix(row.value or 0.0) for row in fixed}
+        offsets = any(f"{name}.offset" in rows for name in robot.names)
+        # Along a motion the laws are lines.
+        parameters = apply_constraints(robot_parameters(robot, offsets=offsets, whole=method == "didim"), known)
+    if method == "didim":
         if not isinstance(system, RobotLoop):
             raise RecordError("it was identified under controllers, and this robot has none; add [controller] tables")
-        late = [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in rows]
-        parameters = add_delays(parameters, system, late)
-    part = IdentifiedRobot(setup, parameters, np.zeros(0))
-    formulas = parameters.formulas(robot)
-    if [*rows] != [*part.names]:
-        other = ", ".join(sorted(rows.keys() ^ {*part.names})) or "their order"
+        free = [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in rows]
+        setup, parameters = system, add_delays(parameters, system, free)
+    elif (late := settings["log_delay"]) is not None:
+        log = log_delay(None if LOG_DELAY.name in rows else finite(late), finite(answer["data"]["sample_time"]))
+        resting = np.array([f"{name}.initial_link_position" not in rows for name in robot.names])
+        parameters = of_record(parameters, robot, resting, log)
+    if [*rows] != [*parameters.names]:
+        other = ", ".join(sorted(rows.keys() ^ {*parameters.names})) or "their order"
         raise RecordError(f"its parameters are not those of this robot, which differ in {other}; identify again")
-    for name, formula in zip(part.names, formulas, strict=True):
+    for (name, row), formula in zip(rows.items(), parameters.formulas(robot), strict=True):
         there, here = (
             {symbol: float(f"{sign}{weight or 1}") for sign, symbol, weight in _TERM.findall(text)}
-            for text in (rows[name].formula, formula)
+            for text in (row.formula, formula)
         )
         if there.keys() != here.keys() or not np.allclose([there[one] for one in here], [*here.values()], rtol=_DIGITS):
-            raise RecordError(f"there {name} is {rows[name].formula}, and of this robot {formula}; identify again")
-    values = np.array([rows[name].value for name in part.names], dtype=np.float64)
-    if settings["method"] == "didim" and isinstance(system, RobotLoop):
-        setup = at_estimate(system, parameters, values)
+            raise RecordError(f"there {name} is {row.formula}, and of this robot {formula}; identify again")
+    values = np.array([row.value for row in rows.values()], dtype=np.float64)
+    if isinstance(setup, RobotLoop):
+        setup = at_estimate(setup, parameters, values)
     return IdentifiedRobot(setup, parameters, values)
-
-
-def _parameters(
-    robot: Robot, rows: dict[str, EstimatedParameter], late: float | None, sample_time: float
-) -> RobotParameters:
-    """Return the parameters of a search as the document has them; with `late` those of the record."""
-    known = {
-        row.name: Parameter(row.name, row.symbol, Quantity.FORCE).fix(row.value or 0.0)
-        for row in rows.values()
-        if not row.free
-    }
-    offsets = any(f"{name}.offset" in rows for name in robot.names)
-    # The numbers of a law are all parameters where it was searched, and its linear part where lines were enough.
-    for whole in (True, False):
-        parameters = apply_constraints(robot_parameters(robot, offsets=offsets, whole=whole), known)
-        if rows.keys() >= {*parameters.names}:
-            break
-    if late is None:
-        return parameters
-    log = log_delay(None if LOG_DELAY.name in rows else finite(late), sample_time)
-    resting = np.array([f"{name}.initial_link_position" not in rows for name in robot.names])
-    return of_record(parameters, robot, resting, log)
 
 
 def _correlation(answer: dict[str, Any], size: int, whole: bool) -> FloatArray:

@@ -31,13 +31,7 @@ from jointid.common.text import join
 from jointid.estimation.parameters import INITIAL, adjust_parameters, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.agreement import Alone, compare_records
-from jointid.estimation.result.build_result import (
-    build_estimate,
-    build_rows,
-    find_active_bounds,
-    list_loop_channels,
-)
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimate import Estimate, build_estimate, build_rows, find_active_bounds
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
 from jointid.solvers.solve import LevenbergMarquardt, Solution, solve
@@ -444,7 +438,7 @@ def _judge(
         (solution.message, solution.converged),
         sum(fit.fit.simulations for fit in fits) + made + 2 * len(runs),
         replace(fits[0].settings, loop=loop, delay=delay),
-        [name for one, record in zip(layout.loops, records, strict=True) for name in list_loop_channels(one, record)],
+        [name for one in layout.loops for name in one.channels],
         agreement=compared,
         warnings=(*map(str, found.warnings), *repeats, *said),
     )

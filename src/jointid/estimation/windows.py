@@ -32,9 +32,7 @@ from jointid.common.messages import Detail, Progress, follow
 from jointid.common.parameters import Bounds, Parameter
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
 from jointid.estimation.result.agreement import Window, drift
-from jointid.estimation.result.build_result import build_estimate, find_active_bounds, rows_of_problem, warn_of_limit
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Windows
+from jointid.estimation.result.estimate import Estimate, Windows, build_estimate, rows_of_problem, warn_of_limit
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import LongRecord
@@ -319,11 +317,11 @@ def identify_windows(
     found, x = found.shift(step), x + step
     covariance, sums, at = found.covariance(), found.sums, like.loop_at(x)
     changes = drift(found.windows, x, problem.free, like.units)
-    held = find_active_bounds(problem.free, x, np.array([math.sqrt(sums.square)]), solution.jacobian)
-    rows = [row for row in rows_of_problem(like, x, covariance, held) if row.of_joint or row.free]
+    left = np.array([math.sqrt(sums.square)])
+    rows = rows_of_problem(like, x, covariance, left, solution.jacobian)
     made = build_estimate(
         [record],
-        tuple(rows),
+        tuple(row for row in rows if row.of_joint or row.free),
         covariance.correlation,
         (np.zeros(0), np.zeros(0)),
         sums.relative_error,

@@ -11,8 +11,7 @@ from jointid.common.charts import panels, styled
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.estimation.parameters import INITIAL
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, show_value
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.models.joints import FlexibleJoint
 
 if TYPE_CHECKING:
@@ -74,7 +73,7 @@ def write_values(axes: Axes, x: float, across: int, rows: Sequence[EstimatedPara
         y, middle = -0.3 - k // across * _PAIR, x + (k % across + 0.5) * _COLUMN
         name = row.name.removeprefix("motor_").removeprefix("load_").replace("_", " ").replace("coulomb", "Coulomb")
         _write(axes, middle, y, ", ".join(filter(None, (name, row.unit))), _SOFT)
-        _write(axes, middle, y - _LINE, show_value(row), _INK, bold=True)
+        _write(axes, middle, y - _LINE, str(row), _INK, bold=True)
 
 
 def _write(axes: Axes, x: float, y: float, text: str, colour: str, *, bold: bool = False, across: int = 1) -> None:

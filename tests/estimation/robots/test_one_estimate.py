@@ -10,8 +10,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.result.answer import Trust
-from jointid.estimation.result.verdict import Subject
+from jointid.estimation.result.verdict import Subject, Trust
 from jointid.models.robots.robot import RobotLoop
 from jointid.output.json import load_estimate
 from jointid.records.record import Record

@@ -8,7 +8,7 @@ import numpy as np
 
 import jointid as ji
 from jointid.common.parameters import POSITION_UNIT
-from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
+from jointid.estimation.result.estimate import Data, EstimatedParameter, Fit, Settings
 from jointid.models.joints import Joint
 from jointid.paper.twin import TABLE_2
 from jointid.simulation.loop_input import prepare

@@ -170,7 +170,7 @@ class Options:
         from jointid import Estimate
         from jointid.diagnostics.explain import explain_failure
         from jointid.estimation.identify import windows_of
-        from jointid.estimation.result.parts import IN_WINDOWS
+        from jointid.estimation.result.estimate import IN_WINDOWS
 
         record, known, progress = file.record(self.record), list[Estimate](), self.progress
         if file.robot is None:  # the engine of a robot is another

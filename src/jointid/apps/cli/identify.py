@@ -33,7 +33,7 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
     """
     from jointid import figures
-    from jointid.estimation.result.parts import IN_WINDOWS
+    from jointid.estimation.result.estimate import IN_WINDOWS
 
     figures.require_format(figure)
     several = len(options.records) > 1

@@ -42,15 +42,7 @@ from jointid.estimation.methods.registry import (
 from jointid.estimation.outputs import check_outputs
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, require_free, torque_problem
-from jointid.estimation.result.build_result import (
-    build_estimate,
-    find_active_bounds,
-    list_loop_channels,
-    rows_of_problem,
-    warn_of_limit,
-)
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Settings
+from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem, warn_of_limit
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks
 from jointid.estimation.rigid_starts import rigid_starts
@@ -139,7 +131,7 @@ class DIDIM(Method):
         delay = problem.values(x).get("delay", problem.axis.law.delay)
         made = build_estimate(
             [task.record],
-            rows_of_problem(problem, x, known.covariance, held=find_active_bounds(problem.free, x, error, J)),
+            rows_of_problem(problem, x, known.covariance, error, J),
             known.covariance.correlation,
             (problem.measured, run.torque),
             problem.filtered_error(error),
@@ -147,7 +139,6 @@ class DIDIM(Method):
             end,
             history.tally.evaluations,
             Settings("didim", "DIDIM by least squares", problem.joint, problem.loop_at(x), filtering, delay),
-            list_loop_channels(problem.loop, task.record),
             checks=residual_checks(white, known.repeatable),
             known=identifiability(problem.free, problem.units, x, J, known.covariance),
             warnings=warn_of_limit(run.at_limit),

@@ -36,9 +36,7 @@ from jointid.estimation.problems.inverse_model import (
     torque_and_positions,
 )
 from jointid.estimation.problems.simulated import MotionLog
-from jointid.estimation.result.build_result import build_estimate, find_active_bounds, rows_of_problem
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Settings
+from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem
 from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
@@ -160,7 +158,7 @@ class DriveSideFit(Method):
         late = -problem.values(x)[LOG_DELAY.name]
         return build_estimate(
             [record],
-            rows_of_problem(problem, x, covariance, find_active_bounds(problem.free, x, error, J)),
+            rows_of_problem(problem, x, covariance, error, J),
             covariance.correlation,
             (problem.measured, problem.torque(x)),
             problem.filtered_error(error),

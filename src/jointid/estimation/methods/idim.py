@@ -46,9 +46,7 @@ from jointid.estimation.problems.inverse_model import (
     inverse_of_joint,
     through_window,
 )
-from jointid.estimation.result.build_result import build_estimate, build_rows
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Settings
+from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, build_rows
 from jointid.estimation.result.verdict import Check, Reason, Subject, check_of
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint

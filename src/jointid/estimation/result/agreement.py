@@ -28,7 +28,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -214,65 +213,37 @@ def drift(
     count = min(_MOST, len(windows) // (_WINDOWS * len(free)))
     if count < 2:
         return None
-    names = [p.name for p in free]
+    names, fits, alone = [p.name for p in free], list[tuple[FloatArray, FloatArray, NDArray[np.bool_]]](), list[Alone]()
     parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
-    fits = [_Fit.of(part, x) for part in parts]
-    scatter = _pool(fits, [len(part) for part in parts])
-    alone = list[Alone]()
-    for part, fit in zip(parts, fits, strict=True):
-        own = np.flatnonzero(fit.determined)
-        covariance = covariance_of((fit.back @ scatter @ fit.back.T)[np.ix_(own, own)])
-        values = {names[i]: float(fit.values[i]) for i in own}
+    # How the windows of all segments scatter, in units of what a window tells.
+    scatter, stated = np.zeros((x.size, x.size)), np.zeros(x.size)
+    for part in parts:
+        sums = total([w.sums for w in part])
+        back, told = _invert_root(sums.A)
+        step = -back @ (back.T @ sums.b)
+        fits.append((x + step, back, told))
+        # A window takes part in what it is compared with, one that tells much more than one that tells little.
+        apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in part]
+        own = [back.T @ w.sums.shift(step).b for w in part]
+        scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)]) * told
+        scatter += (len(part) - 1) * scores.T @ scores
+        stated += len(part) * told  # a parameter that is not told does not scatter
+    # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
+    degrees, root = len(windows) - count, np.sqrt(np.maximum(stated, 1.0))
+    scatter *= degrees / (degrees - x.size - 1) / np.outer(root, root)
+    for part, (values, back, told) in zip(parts, fits, strict=True):
+        at = np.flatnonzero(told)
+        covariance = covariance_of((back @ scatter @ back.T)[np.ix_(at, at)])
         when = f"{part[0].begin / 3600:.2f} to {part[-1].end / 3600:.2f} h"
-        alone.append(Alone(values, covariance, when, total([w.sums for w in part]).relative_error))
+        error = total([w.sums for w in part]).relative_error
+        alone.append(Alone({names[i]: float(values[i]) for i in at}, covariance, when, error))
     return compare_records(alone, {name: units[name] for name in names}, "segments")
 
 
-def _pool(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
-    """Return how the windows of all segments scatter, (free, free), in units of what a window tells.
-
-    Args:
-        fits: of the segments.
-        windows: of each.
-    """
-    free, count = fits[0].values.size, sum(windows)
-    degrees = count - len(fits)
-    # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
-    scatter = sum(np.where(np.outer(fit.determined, fit.determined), fit.scatter, 0.0) for fit in fits) / count
-    scatter *= degrees / (degrees - free - 1)
-    stated = sum(fit.determined * number for fit, number in zip(fits, windows, strict=True))
-    share = np.sqrt(count / np.maximum(stated, 1))  # an undetermined parameter does not scatter
-    return np.asarray(np.outer(share, share) * scatter)
-
-
-class _Fit(NamedTuple):
-    """One segment, fitted.
-
-    Attributes:
-        values: (free,) where its windows agree.
-        back: (free, free) the inverse root of its J'J, symmetric where every column of J has the length 1.
-        scatter: (free, free) of its windows' scores, sum of the products, in units of what a window tells.
-        determined: (free,) whether the fit determines a parameter.
-    """
-
-    values: FloatArray
-    back: FloatArray
-    scatter: FloatArray
-    determined: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, windows: Sequence[Window], x: FloatArray) -> _Fit:
-        """Return the fit of some windows, a step from x."""
-        sums = total([w.sums for w in windows])
-        scale = scale_of(sums.A)
-        values, vectors = np.linalg.eigh(sums.A / np.outer(scale, scale))
-        kept = values > _SINGULAR * values[-1]
-        roots = np.where(kept, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
-        back = (vectors * roots) @ vectors.T / scale[:, np.newaxis]
-        step = -back @ (back.T @ sums.b)
-        # A window takes part in what it is compared with, one that tells much more than one that tells little.
-        apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in windows]
-        own = [back.T @ w.sums.shift(step).b for w in windows]
-        scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)])
-        stated = np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD
-        return cls(x + step, back, (len(windows) - 1) * scores.T @ scores, stated)
+def _invert_root(A: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the inverse root of J'J, symmetric where J has columns of length 1; and which parameters J determines."""
+    scale = scale_of(A)
+    values, vectors = np.linalg.eigh(A / np.outer(scale, scale))
+    kept = values > _SINGULAR * values[-1]
+    roots = np.where(kept, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
+    return (vectors * roots) @ vectors.T / scale[:, np.newaxis], np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD

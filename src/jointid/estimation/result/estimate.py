@@ -1,11 +1,14 @@
-"""The estimate: what `identify` returns, complete and frozen, of a joint as of a robot."""
+"""The estimate: what `identify` returns, complete and frozen, of a joint as of a robot; its parts and its builder.
+
+Every problem's solution ends in `build_estimate`, with what differs as arguments.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +18,17 @@ from numpy.typing import ArrayLike
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.parameters import Bounds, Parameter
+from jointid.common.text import interval, join, number
 from jointid.estimation.result.agreement import Agreement
-from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.fields import write
-from jointid.estimation.result.parts import Data, EstimatedParameter, Fit, Settings
-from jointid.estimation.result.verdict import Check, StiffnessBound, Subject
-from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.estimation.result.verdict import Answer, Check, StiffnessBound, Subject, answer_of
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.position_forces import Motion
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Resampled, Timing
+from jointid.records.signals.filtering import Filtering
+from jointid.solvers.regression import Conditioning
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import Identifiability
 
@@ -32,8 +39,182 @@ if TYPE_CHECKING:
     from jointid.estimation.robots.simulated import IdentifiedRobot
     from jointid.records.record import Record
 
+_AT_LIMIT = 0.01  # of the periods of a controller: more is said
+_NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
 _MOST = 64  # times that a position loop may be slower
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedParameter:
+    """One row of the table.
+
+    Attributes:
+        name, symbol, unit: what it is.
+        value: the estimate; None when it is refused.
+        stderr: its standard error; None for a parameter that was kept fixed, or refused.
+        free: whether it was identified.
+        lower_bound: what the record supports when the value is refused.
+        of_joint: False for what surrounds the joint (the initial state).
+        at_bound: the bound that holds it, where it does not follow the record; None where none does.
+        lack_of_fit: by how much what the joint has and its model has not may move it, as one deviation; it is the same
+            in every record of such a motion, so it is no part of `stderr`.
+        axis: the joint of a robot; empty for a single joint, and for what is of all axes.
+        formula: of a robot the sum of its own numbers that this is; the symbol where it is no sum. Empty for a joint.
+        nominal: of the robot as it was given; None for a joint.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float | None
+    stderr: float | None
+    free: bool
+    lower_bound: float | None = None
+    of_joint: bool = True
+    at_bound: float | None = None
+    lack_of_fit: float = 0.0
+    axis: str = ""
+    formula: str = ""
+    nominal: float | None = None
+
+    @property
+    def deviation(self) -> float | None:
+        """The standard error and the lack of fit together: half of half the interval; None without a standard error."""
+        return None if self.stderr is None else math.hypot(self.stderr, self.lack_of_fit)
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Lower and upper end of the value with two deviations; None where there is no standard error."""
+        deviation = self.deviation
+        if self.value is None or deviation is None:
+            return None
+        return self.value - 2 * deviation, self.value + 2 * deviation
+
+    def __str__(self) -> str:
+        """Return the value with its interval; of a refused one its bound."""
+        if self.value is None:
+            return "not identifiable" if self.lower_bound is None else f"> {number(self.lower_bound, 3)}"
+        if self.at_bound is not None or not self.free:
+            return f"{number(self.value)} (fixed)" if self.at_bound is None else f"{number(self.at_bound)} (bound)"
+        return number(self.value) if self.deviation is None else interval(self.value, 2 * self.deviation)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """How well the model reproduces the torque, and what it took to find out.
+
+    Attributes:
+        measured, predicted: (samples,) raw torque, and that of the model; of several records one after the other; empty
+            for a log that is too long for memory; of a robot (samples, n), in the order of its joints.
+        relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, the filter's borders left out.
+        filtered_error: the same of the filtered and decimated torque: what was minimised.
+        rows: filtered samples that were fitted.
+        simulations: that were run, all of them, those for derivatives and deviations included.
+        stop: why the search ended, in a sentence; converged: whether that is a good end.
+        conditioning: of the regressor, for a linear regression.
+        passes: over the whole of a long log.
+        axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
+        nominal_errors: the same of the nominal robot, with friction as identified or fitted beside it; infinite where
+            it cannot be simulated.
+    """
+
+    measured: FloatArray
+    predicted: FloatArray
+    relative_error: float
+    filtered_error: float
+    rows: int
+    simulations: int
+    stop: str
+    converged: bool
+    conditioning: Conditioning | None = None
+    passes: int = 0
+    axis_errors: Mapping[str, float] = field(default_factory=dict)
+    nominal_errors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """The windows in which a long log was identified.
+
+    Attributes:
+        count: that were fitted; still: in which nothing was asked of the axis, and which were left out.
+        length: seconds of each. settling: seconds simulated before and after each window, and not fitted.
+        duration: seconds from the first to the last fitted row.
+    """
+
+    count: int
+    still: int
+    length: float
+    settling: float
+    duration: float
+
+
+IN_WINDOWS = (
+    "The estimate is of a record in windows, whose torque it does not keep; identify a part of the record, by "
+    "record.start and record.stop."
+)
+"""What needs the torque of the whole record says so."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """The record, or records, that were identified from.
+
+    Attributes:
+        record: its name; of several, all names.
+        channels: that were read.
+        sample_time: of the torque, seconds.
+        torque_unit: of the torque: N, N m, A or V.
+        fingerprints: of the torque of each record, or of each log of a robot, see `fingerprint`; none of a long log.
+        resampled: how the samples were brought to a uniform clock, None where they were logged so.
+        windows: how a long log was cut; None for a record.
+    """
+
+    record: str
+    channels: tuple[str, ...]
+    sample_time: float
+    torque_unit: str
+    fingerprints: tuple[str, ...] = ()
+    resampled: Resampled | None = None
+    windows: Windows | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settings:
+    """The model and the method, defaults filled in.
+
+    Attributes:
+        method: its name, as in a joint file; variant: how it was run, in words.
+        system: the model, a joint or a robot. loop: the closed loop of a joint, when the method simulated one.
+        filtering: as used.
+        delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
+        log_delay: of a robot along its motion, seconds by which the log shows torques late; None elsewhere.
+        timing: reading of a torque of unstated timing; None where it was stated, or nothing else tried.
+        controller: of an estimate from a file the fingerprint of the law that it was identified under.
+    """
+
+    in_json = "-loop -controller"
+    method: str
+    variant: str
+    system: Joint | Robot
+    loop: ClosedLoop | None
+    filtering: Filtering
+    delay: float = 0.0
+    log_delay: float | None = None
+    timing: Timing | None = None
+    controller: str = ""
+
+    @property
+    def joint(self) -> Joint:
+        """The model of a joint.
+
+        Raises:
+            MethodError: the estimate is of a robot.
+        """
+        if isinstance(self.system, Robot):
+            raise MethodError("This needs the estimate of one joint, and received that of a robot; identify the joint.")
+        return self.system
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -60,7 +241,6 @@ class Estimate(Documented):
         problem, x: the closed loop that was simulated, and its free parameters; None for other methods.
         records: the one record of a joint, or those of a robot's joints; else none.
         solved: of a robot that was simulated along one log; None elsewhere.
-        undetermined: names of parameters that lose their values once all is checked.
         shifts: (free,) each, by which the deviations of a joint's simulation were widened.
         window: of a log in windows the fit of the one that the search began with, which is checked.
 
@@ -76,8 +256,7 @@ class Estimate(Documented):
     """
 
     in_json = (
-        "answer parameters correlation controller_sha256 "
-        "-rows -diagnosis -robot -problem -records -solved -undetermined -window"
+        "answer parameters correlation controller_sha256 -rows -diagnosis -robot -problem -records -solved -window"
     )
     rows: tuple[EstimatedParameter, ...]
     correlation: FloatArray
@@ -96,7 +275,6 @@ class Estimate(Documented):
     x: FloatArray | None = None
     records: tuple[Record, ...] = ()
     solved: RobotFit | None = None
-    undetermined: tuple[str, ...] = ()
     shifts: tuple[FloatArray, ...] = ()
     window: Estimate | None = None
 
@@ -304,10 +482,8 @@ def law_fingerprint(loop: ClosedLoop) -> str:
     """Return the SHA-256 of a loop's controller at a fixed period: two loops with the same one have the same law."""
     slow = getattr(loop.controller, "position_period", None)  # a whole number of times as long, within bounds
     law = loop.controller.law(slow / min(max(round(slow / _PERIOD), 1), _MOST) if slow else _PERIOD)
-    digest = hashlib.sha256()
-    for array in (law.A, law.B, law.C, law.D, law.E, law.F, law.limits, np.array([law.period, law.delay])):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+    parts = (law.A, law.B, law.C, law.D, law.E, law.F, law.limits, np.array([law.period, law.delay]))
+    return fingerprint(np.concatenate([np.ravel(part) for part in parts]))
 
 
 def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[int, int]) -> float:
@@ -321,3 +497,134 @@ def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[i
         )
     inside = slice(borders[0], measured.size - borders[1])
     return float(np.linalg.norm((measured - predicted)[inside]) / np.linalg.norm(measured[inside]))
+
+
+# How it is built
+
+
+def rows_of_problem(
+    problem: ClosedLoopProblem, x: FloatArray, covariance: Covariance, error: FloatArray, J: FloatArray
+) -> tuple[EstimatedParameter, ...]:
+    """Return the parameters of a problem's solution x, (free,), those of the joint and of what surrounds it.
+
+    A deviation that is no number is not known. Residual and derivatives there tell which bounds are reached.
+    """
+    own, units, held = (
+        {p.name for p in problem.joint.parameters},
+        problem.units,
+        find_active_bounds(problem.free, x, error, J),
+    )
+    std = {p.name: float(one) for p, one in zip(problem.free, covariance.std, strict=False) if np.isfinite(one)}
+    return build_rows(problem.parameters, problem.values(x), std, lambda p: units[p.name], own, held)
+
+
+def build_rows(
+    parameters: Iterable[Parameter],
+    values: Mapping[str, float],
+    std: Mapping[str, float],
+    unit: Callable[[Parameter], str],
+    of_joint: Collection[str],
+    held: Mapping[str, float] | None = None,
+) -> tuple[EstimatedParameter, ...]:
+    """Return the rows of parameters, from their values, deviations of the free ones, and bounds that hold, by name.
+
+    The names in `of_joint` belong to the joint, and not to what surrounds it.
+    """
+    return tuple(
+        EstimatedParameter(
+            p.name, p.symbol, unit(p), values[p.name], std.get(p.name), p.free,
+            of_joint=p.name.partition("@")[0] in of_joint, at_bound=(held or {}).get(p.name),
+        )
+        for p in parameters
+    )  # fmt: skip
+
+
+def build_estimate(
+    records: Sequence[Record],
+    rows: tuple[EstimatedParameter, ...],
+    correlation: FloatArray,
+    torques: tuple[FloatArray, FloatArray],
+    error: float | FloatArray,
+    fitted: int,
+    end: tuple[str, bool],
+    simulations: int,
+    settings: Settings,
+    channels: Collection[str] = (),
+    *,
+    robot: IdentifiedRobot | None = None,
+    nominal: FloatArray | None = None,
+    warnings: Sequence[str] = (),
+    **found: Any,
+) -> Estimate:
+    """Return the estimate that a method ends with: of a joint or a robot, from one record or several.
+
+    Args:
+        records: that were read; of a robot those of its joints, one log after the other.
+        rows: the parameters.
+        correlation: of the errors of the free ones, in their order.
+        torques: (samples,) each, measured and predicted; of a robot (samples, n).
+        error: share of the filtered torque that the model leaves; of a robot (n,).
+        fitted: rows of the filtered torque.
+        end: why the search ended, and whether that is a good end.
+        simulations: that were run.
+        settings: model and method.
+        channels: that were read; without them those of the loop, or else all of the records'.
+        robot: that was identified; None for a joint.
+        nominal: (n,) share of each joint's filtered torque that the nominal robot leaves.
+        warnings: of the method.
+        found: further parts of the estimate.
+    """
+    (measured, predicted), borders = torques, settings.filtering.borders
+    read = [record.torque for record in records if record.torque is not None]
+    errors, names = np.atleast_1d(error), () if robot is None else robot.model.names
+    logs = [read[at : at + errors.size] for at in range(0, len(read), errors.size)]
+    by_axis = dict(zip(names, map(float, errors), strict=False))
+    if settings.loop is not None:
+        injected = ["injected" for record in records if record.injected is not None]
+        channels = (*(channels or settings.loop.channels), *injected)
+    fit = Fit(
+        measured, predicted, relative_error(measured, predicted, borders),
+        float(np.sqrt(np.mean(errors**2))) if by_axis else float(errors[0]), fitted, simulations, *end,
+        axis_errors=by_axis,
+    )  # fmt: skip
+    if robot is not None:
+        warnings = (*robot.model.remarks, *warnings)
+        if robot.model.has_masses and nominal is not None:
+            fit = replace(fit, nominal_errors=dict(zip(names, map(float, nominal), strict=True)))
+    data = Data(
+        record=join(list(dict.fromkeys(record.name for record in records))),
+        channels=tuple(dict.fromkeys(channels or (name for record in records for name in record.channels))),
+        sample_time=read[0].sample_time,
+        torque_unit=join(list(dict.fromkeys(torque.unit for torque in read))),
+        fingerprints=tuple(fingerprint(np.concatenate([torque.values for torque in log])) for log in logs),
+        resampled=records[0].resampled if len(records) == 1 else None,
+    )
+    kept: dict[str, Any] = {"warnings": tuple(warnings), "records": () if robot is None else tuple(records)}
+    return Estimate(rows, correlation, fit, data, settings, robot=robot, **kept, **found)
+
+
+def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> dict[str, float]:
+    """Return the bounds that hold free parameters, by name.
+
+    A descent ends a little inside of a bound. So near is a millionth of the value, or, since a bound may be 0, of the
+    change that would move the residual by all of its size, where that is more.
+
+    Args:
+        free: the parameters.
+        x: (free,) what was found for them.
+        error: (rows,) residual there.
+        J: (rows, free) its derivatives, of either sign.
+    """
+    norms = np.linalg.norm(J, axis=0)
+    size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
+    bounds, near = Bounds.of(free), _NEAR * size
+    held = {p.name: p.upper for p, at in zip(free, x >= bounds.upper - near, strict=True) if at}
+    return held | {p.name: p.lower for p, at in zip(free, x <= bounds.lower + near, strict=True) if at}
+
+
+def warn_of_limit(share: float) -> tuple[str, ...]:
+    """Return a sentence on a controller that was at its limit in more than a few of its periods."""
+    if share <= _AT_LIMIT:
+        return ()
+    said = f"the controller is at its limit in {100 * share:.1f} % of the periods"
+    return (f"{said}, where the torque says nothing of the joint",)

@@ -31,7 +31,9 @@ def plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     items = sorted(value) if kind is frozenset else value
     return [plain(item) for item in items] if isinstance(items, list | tuple) else value
 
@@ -96,17 +98,9 @@ def finite(value: object) -> float:
 
 def dumps(answer: dict[str, Any]) -> str:
     """Serialise an answer as reproducible JSON text."""
-    return json.dumps(_finite(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(plain(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write(answer: dict[str, Any], path: str | Path) -> None:
     """Write an answer as JSON."""
     write_whole(path, dumps(answer))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

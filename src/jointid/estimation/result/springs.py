@@ -33,7 +33,7 @@ from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.estimation.descent import History, descend, with_linear_spring
 from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
 from jointid.estimation.spring_search import FASTEST, crossover, divide, frequency_of
 from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
@@ -81,20 +81,20 @@ _SPRING = ("motor_inertia", "load_inertia", "stiffness", "damping")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visibility:
-    """Identifiability of a joint's spring.
+    """Whether a record shows a joint's spring; of a spring that is refused also what is said in its place.
 
     Attributes:
         checks: whether its stiffness is reported, and why not.
         rigid: values of the rigid joint on the same band; std: standard deviations of those that it determines.
-        bounds: where the stiffness is refused.
-        notes: on the deviations of the rigid joint, where the stiffness is refused.
+        bounds: of the stiffness.
+        notes: on the deviations of the rigid joint.
     """
 
     checks: tuple[Check, ...]
-    rigid: Mapping[str, float]
-    std: Mapping[str, float]
-    bounds: tuple[StiffnessBound, ...]
-    notes: tuple[Message, ...]
+    rigid: Mapping[str, float] = field(default_factory=dict)
+    std: Mapping[str, float] = field(default_factory=dict)
+    bounds: tuple[StiffnessBound, ...] = ()
+    notes: tuple[Message, ...] = ()
 
     @property
     def shown(self) -> bool:
@@ -103,10 +103,10 @@ class Visibility:
 
     def state(self, estimate: Estimate) -> Estimate:
         """Return an estimate with the verdict; of a refused spring with the sums of both sides in its place."""
-        joint, rows = estimate.settings.joint, []
+        joint, rows = estimate.settings.joint, list[EstimatedParameter]()
         if self.shown:
             return replace(estimate, checks=(*estimate.checks, *self.checks))
-        assert isinstance(joint, FlexibleJoint) and estimate.known is not None
+        assert isinstance(joint, FlexibleJoint)
         parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
         for p in estimate.rows:
             own = p
@@ -118,14 +118,10 @@ class Visibility:
         both = sums_of([p for p in joint.parameters if p.name in estimate.free], {p.name: p.unit for p in rows})
         sums = [Known(s, self.rigid[s.quantity], self.std[s.quantity]) for s in both if s.quantity in self.std]
         said = "only the sums of both sides are determined, not their division"
-        return replace(
-            estimate,
-            rows=tuple(rows),
-            checks=(*estimate.checks, check_of(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said), *self.checks),
-            known=Identifiability(tuple(sums), ()),
-            bounds=self.bounds,
-            notes=(*estimate.notes, *map(str, self.notes)),
-        )
+        undivided = check_of(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said)
+        checks = (*estimate.checks, undivided, *self.checks)
+        known, notes = Identifiability(tuple(sums), ()), (*estimate.notes, *map(str, self.notes))
+        return replace(estimate, rows=tuple(rows), checks=checks, known=known, bounds=self.bounds, notes=notes)
 
 
 def visible(
@@ -152,7 +148,7 @@ def visible(
     (error, slopes), remains = rigid.linearise(at.x), problem.residual(x)
     where, tally = rigid.cells(rigid.simulate(at.x)), history.tally
     values, found = rigid.values(at.x), problem.values(x)
-    linear, said, made, left = with_linear_spring(problem), "", None, float(remains @ remains)
+    linear, made, left = with_linear_spring(problem), None, float(remains @ remains)
     tally.evaluations += at.evaluations + 4
     reasons = [*_doubts(problem, x, J, known, (left, float(error @ error)), together)]
     if not reasons:
@@ -162,24 +158,26 @@ def visible(
         fitted = left if left < _FAR * float(error @ error) else None
         test = flexible_against_rigid(error, slopes, springs, where, fitted)
         tally.evaluations += len(_TEST_SHARES) * len(_TEST_MODES)
-        reasons, said = [] if test.significant else [str(test)], str(test)
-        if not reasons and test.gained < _LITTLE:
+        if test.significant and test.gained < _LITTLE:
             made = profile_modes(linear, values, found, tally, thorough=True)
-            reasons = [*_other_springs(made, found["stiffness"], known, [p.name for p in problem.free])]
-    bounds, judged = list[StiffnessBound](), uncertainty(Influence(slopes, error), where)
-    if reasons:
-        history.progress("the record does not show the spring; looking how soft it may be")
-        bounds = bound_all(made or profile_modes(linear, values, found, tally), shares)
-        judged, moved = widen_for_force(judged, rigid, at.x, -slopes, history)
-        if moved is not None:
-            change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
-            forced = with_linear_spring(problem.with_log(measured=problem.log.measured - change[:, np.newaxis]))
-            beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found, tally), shares)
-            bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in zip(bounds, beside, strict=True)]
-        reasons[0] = f"not identifiable from this record: {reasons[0]}"
+            std = dict(zip([p.name for p in problem.free], known.covariance.std.tolist(), strict=True))
+            reasons = _other_spring(made, found["stiffness"], std.get("stiffness", 0.0))
+        if test.significant and not reasons:
+            return Visibility(springs_checks((), str(test)))
+        reasons = reasons or [str(test)]
+    history.progress("the record does not show the spring; looking how soft it may be")
+    bounds = bound_all(made or profile_modes(linear, values, found, tally), shares)
+    judged = uncertainty(Influence(slopes, error), where)
+    judged, moved = widen_for_force(judged, rigid, at.x, -slopes, history)
+    if moved is not None:
+        change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
+        forced = with_linear_spring(problem.with_log(measured=problem.log.measured - change[:, np.newaxis]))
+        beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found, tally), shares)
+        bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in zip(bounds, beside, strict=True)]
+    checks = springs_checks([f"not identifiable from this record: {reasons[0]}", *reasons[1:]])
     stated = zip(rigid.free, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
     std = {p.name: float(one) for p, one, told in stated if told}
-    return Visibility(springs_checks(reasons, said), values, std, tuple(bounds), judged.warnings)
+    return Visibility(checks, values, std, tuple(bounds), judged.warnings)
 
 
 def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
@@ -229,28 +227,24 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
 
     def residual_at(at: tuple[float, float]) -> FloatArray:
         values = divided | split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
-        return free.residual(np.array([values[p.name] for p in free.parameters]))
+        return free.residual(free.vector(values))
 
     tried = in_threads(residual_at, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
     size = 10 * float(np.linalg.norm(problem.filter(problem.measured)))
     return [(one - error)[:, np.newaxis] for one in tried if np.linalg.norm(one) < size]  # the others are unstable
 
 
-def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> Iterator[str]:
-    """Yield another admissible spring at 95 %, or a rigid joint."""
+def _other_spring(made: ModeProfile, stiffness: float, std: float) -> list[str]:
+    """Return another admissible spring at 95 %, or a rigid joint, in a sentence; none of a stiffness that is told."""
     limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + _BOTH_SIDES * made.threshold
     if made.stiff.least <= limit:  # also where it cannot be simulated, so that nothing is excluded
-        yield "a joint that is nearly rigid explains the torque as well, within 95 %"
-        return
-    std = float(known.covariance.std[names.index("stiffness")]) if "stiffness" in names else 0.0
+        return ["a joint that is nearly rigid explains the torque as well, within 95 %"]
     for end in made.minima:
         other = spring(end.at)["stiffness"]
         if end.least <= limit and abs(other - stiffness) > max(_APART * std, _SAME * stiffness):
-            yield (
-                f"a spring of {other:.3g}, with its mode at {end.mode:.3g} Hz, explains the torque as well as the one "
-                f"of {stiffness:.3g} that was found, within 95 %"
-            )
-            return
+            own = f"a spring of {other:.3g}, with its mode at {end.mode:.3g} Hz, explains the torque as well as the one"
+            return [f"{own} of {stiffness:.3g} that was found, within 95 %"]
+    return []
 
 
 # How soft it may be
@@ -261,16 +255,14 @@ class SpringProblem:
     """A flexible problem by inertia, damping ratio, share of the load and mode, of which some may be held.
 
     Attributes:
-        problem: of the flexible joint, every parameter free.
-        names: of what is fitted beside the four: what was free of friction, offset and first state.
-        held: share, and mode in Hz, free-free, by name; those that are not free.
+        problem: of the flexible joint, inertias and spring free; its friction, offset and first state as they were.
         room: the modes a free one stays between, Hz.
+        held: share, and mode in Hz, free-free, by name; those that are not free.
     """
 
     problem: ClosedLoopProblem
-    names: tuple[str, ...]
-    held: Mapping[str, float]
     room: tuple[float, float]
+    held: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -281,12 +273,14 @@ class SpringProblem:
             Parameter("share", "s", Quantity.RATIO, lower=_SMALLEST, upper=_LARGEST),
             Parameter("mode", "f", Quantity.GAIN, lower=self.room[0], upper=self.room[1]),
         )
-        own = {p.name: p for p in self.problem.parameters}
-        return (*(p for p in four if p.name not in self.held), *(own[name] for name in self.names))
+        return (
+            *(p for p in four if p.name not in self.held),
+            *(p for p in self.problem.free if p.name not in _SPRING),
+        )
 
     def values_by_name(self, x: FloatArray) -> dict[str, float]:
         """Return inertia, ratio, share, mode and the others by name."""
-        return {**self.held, **dict(zip((p.name for p in self.free), map(float, x), strict=True))}
+        return {**self.held, **dict(zip((p.name for p in self.free), x.tolist(), strict=True))}
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual, (rows,)."""
@@ -297,21 +291,13 @@ class SpringProblem:
         error, J = self.problem.linearise(self._vector(x))
         if not np.isfinite(np.vdot(J, J)):
             # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
-            return error, np.zeros((error.size, len(self.free)))
-        by, described = {p.name: J[:, i] for i, p in enumerate(self.problem.free)}, self.values_by_name(x)
-        columns = []
-        for p in self.free:
-            if p.name in self.names:
-                columns.append(by[p.name])
-                continue
-            stepped = spring({**described, p.name: described[p.name] + 1j * _TINY})
-            columns.append(sum(np.imag(value) / _TINY * by[name] for name, value in stepped.items()))
-        return error, np.column_stack(columns)
+            return error, np.zeros((error.size, x.size))
+        turns = [np.imag(self._vector(x + 1j * _TINY * step)) / _TINY for step in np.eye(x.size)]
+        return error, J @ np.array(turns).T
 
-    def _vector(self, x: FloatArray) -> FloatArray:
-        fixed = {p.name: p.start or 0.0 for p in self.problem.parameters}
+    def _vector(self, x: Any) -> Any:
         described = self.values_by_name(x)
-        return self.problem.vector(fixed | {name: described[name] for name in self.names} | spring(described))
+        return self.problem.vector(described | spring(described))
 
 
 def spring(described: Mapping[str, Any]) -> dict[str, Any]:
@@ -342,26 +328,24 @@ class ModeProfile:
     """The criterion over modes, with everything else fitted anew, on a band that shows modes above the fitted one, too.
 
     Attributes:
-        problem: every parameter free. names: see `SpringProblem`. room: the modes between which it is made, Hz.
+        described: the problem, with nothing held.
+        tally: counts the simulations.
         threshold: how much worse than the best a joint may be; infinite where the stiff joint explains nothing.
         stiff: the joint that is nearly rigid.
         points: with the mode held, the stiffest first.
         minima: with it free, the best first.
-        tally: counts the simulations.
     """
 
-    problem: ClosedLoopProblem
-    names: tuple[str, ...]
-    room: tuple[float, float]
+    described: SpringProblem
+    tally: Tally = field(default_factory=Tally)
     threshold: float = 0.0
     stiff: Fit = field(default=Fit({}, math.inf, math.inf))
     points: list[Fit] = field(default_factory=list)
     minima: list[Fit] = field(default_factory=list)
-    tally: Tally = field(default_factory=Tally)
 
     def fit(self, start: Mapping[str, float], evaluations: int, **held: float) -> Fit:
         """Return the best joint near a start, with its share or its mode held."""
-        problem = SpringProblem(self.problem, self.names, held, self.room)
+        problem = replace(self.described, held=held)
         bounds, x = Bounds.of(problem.free), np.array([start[p.name] for p in problem.free])
         end = solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
         self.tally.evaluations += end.evaluations
@@ -396,10 +380,10 @@ def profile_modes(
     band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolve(sample_time, "flexible")
     high = _STIFFEST * cutoff
     low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
-    names = tuple(p.name for p in problem.free if p.name not in _SPRING)
     start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
-    made = ModeProfile(problem.with_log(filtering=band).all_free(), names, (low, high), tally=tally)
+    free = {p.name: replace(p, free=True) for p in problem.parameters if p.name in _SPRING}
+    made = ModeProfile(SpringProblem(problem.with_log(filtering=band).replace_parameters(free), (low, high)), tally)
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
     for mode in np.geomspace(high, low, _STEPS)[1:]:
@@ -418,7 +402,7 @@ def profile_modes(
     ratio = min(damping_ratio(found), MOST_DAMPED)
     own = {"inertia": whole, "ratio": ratio, "share": found["load_inertia"] / whole, "mode": frequency_of(found)}
     if low < own["mode"] < high:
-        ends.append(made.fit(start | {n: found[n] for n in names} | own, _FREE))
+        ends.append(made.fit({**start, **found, **own}, _FREE))
     for end in sorted(ends, key=lambda end: end.cost):
         same = (abs(end.mode / one.mode - 1) + abs(end.at["share"] / one.at["share"] - 1) for one in made.minima)
         if not any(apart < _ALIKE for apart in same):
@@ -440,14 +424,15 @@ def _compute_cost_limit(made: ModeProfile) -> float:
     its friction on the motor's side: there the load's does nothing else. Where that joint explains nothing, as when its
     loop is unstable, there is no such ratio, and nothing is excluded.
     """
-    if made.stiff.cost > np.sum(made.problem.filter(made.problem.measured) ** 2):
+    problem = made.described.problem
+    if made.stiff.cost > np.sum(problem.filter(problem.measured) ** 2):
         return math.inf
-    names = tuple(name for name in made.names if not name.startswith("load_"))
-    x = np.array([made.stiff.at[name] for name in ("inertia", "ratio", *names)])
-    held = {"share": _SHARE, "mode": made.room[1]}
-    stiff = SpringProblem(made.problem, names, held, made.room)
+    idle = [p for p in problem.free if p.name.startswith("load_") and p.name not in _SPRING]
+    held = {"share": _SHARE, "mode": made.described.room[1]}
+    stiff = replace(made.described, problem=problem.keeping({p.name: p.start or 0.0 for p in idle}), held=held)
+    x = np.array([made.stiff.at[p.name] for p in stiff.free])
     error, J = stiff.linearise(x)
-    bent = replace(stiff, held={**held, "mode": made.room[1] / 1.2}).residual(x) - error
+    bent = replace(stiff, held={**held, "mode": held["mode"] / 1.2}).residual(x) - error
     made.tally.evaluations += 2
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
@@ -462,21 +447,17 @@ def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessB
         share: of the load in the inertia.
         floor: Hz, of a mode that is excluded at a smaller share: of a larger one it moves more of the torque.
     """
-    limit, own = made.stiff.cost + made.threshold, {}
+    limit, own = made.stiff.cost + made.threshold, dict[float, Fit]()
     if made.minima and made.stiff.cost - made.minima[0].cost > _CHANCE * made.threshold:
         best = own[made.minima[0].mode] = made.fit({**made.minima[0].at, "share": share}, _FREE, share=share)
         limit = min(limit, best.cost + made.threshold)
-    softest, rejected = made.stiff, made.room[0]
+    softest, rejected = made.stiff, made.described.room[0]
     for point in sorted((*made.points, *made.minima), key=lambda point: point.mode):
-        tried, held = point, {} if point in made.minima else {"mode": point.mode}
-        if held and point.mode <= floor:
-            rejected = max(rejected, point.mode)
-            continue
-        if point.mode in own:  # it is within its own limit
-            tried = own[point.mode]
-        elif point.least <= limit:  # else it is excluded at any share
+        tried, held = own.get(point.mode, point), {} if point in made.minima else {"mode": point.mode}
+        excluded = bool(held) and point.mode <= floor
+        if tried is point and point.least <= limit and not excluded:  # else it is excluded at any share
             tried = made.fit({**point.at, "share": share}, _HELD, share=share, **held)
-        if tried.least <= limit:
+        if tried.least <= limit and not excluded:
             softest = tried
             break
         rejected = max(rejected, tried.mode)

@@ -13,12 +13,11 @@ from jointid.common.document import Block, Document, Facts, Heading, Listing, Ta
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.agreement import Alone
-from jointid.estimation.result.answer import moved_by_loop, told_bounds
-from jointid.estimation.result.parts import EstimatedParameter, format_signed, show_value
+from jointid.estimation.result.verdict import moved_by_loop, told_bounds
 from jointid.models.robots.robot import Robot
 
 if TYPE_CHECKING:
-    from jointid.estimation.result.estimate import Estimate
+    from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 
 Column: TypeAlias = tuple[str, Sequence[str], bool]
 """Header and cells of a column, and whether they are words."""
@@ -36,24 +35,19 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
         details: whether to show every answer with all its statements, effort and settings; else only the questions that
             did not pass, a line each.
     """
-    listed, passed = [], list[bool | None]()
+    listed = list[tuple[str, bool | None, tuple[str, ...]]]()
     for name, found in groupby(estimate.checks, key=lambda check: check.name):
         first, *others = found
-        passed.append(first.passed)
-        said = [first.words, *(one.words for one in others)]
-        if not details:
-            said = [first.brief + f" (and {len(others)} more in the report)" * bool(others)]
-        if details or not first.passed:
-            listed.append((str(name), first.passed, tuple(said)))
+        brief = first.brief + f" (and {len(others)} more in the report)" * bool(others)
+        listed.append((str(name), first.passed, tuple(one.words for one in (first, *others)) if details else (brief,)))
+    passed = [good for _, good, _ in listed]
+    listed = [row for row in listed if details or not row[1]]
     notes = [] if passed and not details else [("note", note) for note in estimate.notes]
-    facts = list(_facts(estimate, details=details))
-    if passed:
-        facts.append(("checks", f"{passed.count(True)} of {len(passed)} passed"))
     blocks = (
         *_tables(estimate, details=details),
         *([Verdicts(tuple(listed))] if listed else []),
         Facts((*(("warning", warning) for warning in estimate.warnings), *notes)),
-        Facts((*facts, *_sources(estimate))),
+        Facts(tuple(_facts(estimate, passed, details=details))),
     )
     return Document(estimate.sentence, blocks)
 
@@ -111,13 +105,13 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g}" if math.isfinite(share) else "runs away"
 
 
-def _facts(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
-    """Yield the facts of the fit."""
-    fit, windows = estimate.fit, estimate.data.windows
+def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) -> Iterator[tuple[str, str]]:
+    """Yield the facts of the fit, how many questions passed, method, data and side of the values."""
+    fit, data, settings, system = estimate.fit, estimate.data, estimate.settings, estimate.settings.system
     if not fit.axis_errors:
         raw = f"{100 * fit.relative_error:.4f} % raw, " if math.isfinite(fit.relative_error) else ""
         yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
-    if windows is not None:
+    if (windows := data.windows) is not None:
         still = f", {windows.still} without motion left out" if windows.still else ""
         yield (
             "windows",
@@ -127,17 +121,14 @@ def _facts(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
     if details:
         passes = f", {fit.passes} times over the whole" if fit.passes else ""
         yield "effort", f"{fit.simulations} simulations{passes}"
-
-
-def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Yield method, data and side of the values."""
-    data, settings, system = estimate.data, estimate.settings, estimate.settings.system
+    if passed:
+        yield "checks", f"{passed.count(True)} of {len(passed)} passed"
     if isinstance(system, Robot):
         yield "method", f"{system.name}, {settings.variant}"
-        return
-    yield "method", f"{system.model} joint, {settings.variant}, of {data.record}"
-    yield "read", ", ".join(data.channels)
-    yield from common_facts(data.resampled, system.transmission)
+    else:
+        yield "method", f"{system.model} joint, {settings.variant}, of {data.record}"
+        yield "read", ", ".join(data.channels)
+        yield from common_facts(data.resampled, system.transmission)
 
 
 def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping[str, float] | None = None) -> Table:
@@ -156,7 +147,7 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
         hidden = sum(bool(p.formula) for p in estimate.rows) - sum(bool(p.formula) for p in rows)
     columns: list[Column] = [
         ("parameter", [in_words(p.name) for p in rows], True),
-        ("value ± 2 sigma", [show_value(p) for p in rows], False),
+        ("value ± 2 sigma", [str(p) for p in rows], False),
         ("unit", [p.unit for p in rows], True),
     ]
     if truth is not None:
@@ -188,9 +179,9 @@ def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
 def remarks(estimate: Estimate) -> dict[str, str]:
     """Return remarks on parameters, by name: how much the value changes once a fault is corrected, known only with."""
     rows = {p.name: p for p in estimate.rows if p.value is not None}
-    moved = {name: by for name, by in moved_by_loop(estimate).items() if name in rows}
+    moved = {name: sum(by) for name, by in moved_by_loop(estimate).items() if name in rows}
     shown = {name: by for name, by in moved.items() if abs(by) > _SHOWN_SHIFT * (rows[name].stderr or 0.0)}
-    found = {name: [f"would change by {format_signed(by, 3)}"] for name, by in shown.items()}
+    found = {name: [f"would change by {number(by, 3, '+')}"] for name, by in shown.items()}
     for i, j in np.argwhere(np.abs(estimate.correlation) > _INSEPARABLE):
         one, other = estimate.free[i], estimate.free[j]
         apart = i != j and not estimate.fit.axis_errors

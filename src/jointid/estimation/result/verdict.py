@@ -1,7 +1,13 @@
-"""Checks: answers to questions about an estimate, as coded statements; and the estimate with them."""
+"""What an estimate is judged by: checks, each a question with its answer; and whether to rely on the asked value.
+
+What was asked for is the stiffness of a flexible joint, the inertia of a rigid one, and all parameters of a robot. One
+rule says whether to rely on it: nothing that was checked moves it out of its interval. A residual that is coloured or
+repeats is in the interval already, and a fault of the loop that moves a friction leaves the inertia what it is.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
@@ -11,15 +17,18 @@ import numpy as np
 
 from jointid.common.document import Documented
 from jointid.common.messages import Message
-from jointid.common.text import join, number
+from jointid.common.text import in_words, join, number
 from jointid.uncertainty.model_tests import Whiteness
 from jointid.uncertainty.position_dependent_error import Repeatable
 
 if TYPE_CHECKING:
-    from jointid.estimation.result.estimate import Estimate
+    from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 
 POOR_FIT = 0.15
 """Share of the filtered torque that a right model leaves at most: the EMPS axis leaves 0.045, the paper's 0.08."""
+
+SLIGHT = 1e-3
+"""Share of a value that no decision depends on; the log of a simulator without noise shows smaller faults."""
 
 _TWO = 2.0  # standard deviations
 _DRIVING = ("viscous",), ("viscous_forwards",), ("viscous_backwards",), ("coulomb",), ("coulomb", "stribeck_force")
@@ -157,7 +166,8 @@ def assemble(
         widenings: of the intervals.
         diagnosis: of loop, log and residual, axis by axis; None where it was not made.
     """
-    undetermined, rows = {*fit.undetermined, *(() if fit.known is None else fit.known.undetermined)}, []
+    undetermined, rows = {name for one in fit.about(Subject.SCALE) for name in one.values["undetermined"]}, []
+    undetermined |= {*fit.known.undetermined} if fit.known else set()
     for p in fit.rows:
         wide = max((by.get(p.name, 0.0) for by, _ in widenings), default=0.0) if p.stderr else 0.0
         lost = p.name in undetermined
@@ -169,7 +179,7 @@ def assemble(
             checks=_replace(fit.checks, checks),
             warnings=(*fit.warnings, *(warning for _, warning in widenings if warning)),
             diagnosis=diagnosis,
-            problem=None, x=None, records=(), solved=None, undetermined=(), shifts=(), window=None,
+            problem=None, x=None, records=(), solved=None, shifts=(), window=None,
         )
     )  # fmt: skip
 
@@ -177,7 +187,7 @@ def assemble(
 def judged(estimate: Estimate) -> Estimate:
     """Return an estimate with what its own numbers answer; an answer that it has stands, but on solver and fit."""
     given = [one for one in estimate.checks if one.name not in (Subject.SOLVER, Subject.FIT)]
-    return replace(estimate, checks=_replace([*_judge(estimate)], given))
+    return replace(estimate, checks=_replace([*_check_numbers(estimate)], given))
 
 
 def _replace(checks: Sequence[Check], by: Sequence[Check]) -> tuple[Check, ...]:
@@ -186,7 +196,7 @@ def _replace(checks: Sequence[Check], by: Sequence[Check]) -> tuple[Check, ...]:
     return (*(one for one in checks if one.name not in asked), *by)
 
 
-def _judge(estimate: Estimate) -> Iterator[Check]:
+def _check_numbers(estimate: Estimate) -> Iterator[Check]:
     fit, known, agreement = estimate.fit, estimate.known, estimate.agreement
     yield check_of(Subject.SOLVER, fit.converged, Reason.SEARCH_ENDED, fit.stop)
     errors = fit.axis_errors or {"": fit.filtered_error}
@@ -199,7 +209,7 @@ def _judge(estimate: Estimate) -> Iterator[Check]:
     elif known is not None:
         said = "every parameter is distinguished from 0 and from the others"
         yield check_of(Subject.IDENTIFIABILITY, True, Reason.ONLY_SUMS, said)
-    yield _judge_bounds(estimate)
+    yield _check_bounds(estimate)
     if agreement is not None and agreement.p_value is not None:
         name, code = Subject.AGREEMENT, Reason.RECORDS_DISAGREE
         if estimate.data.windows is not None:
@@ -211,7 +221,7 @@ def _judge(estimate: Estimate) -> Iterator[Check]:
         yield from springs_checks([said.format(row) for row in springs if row.value is None])
 
 
-def _judge_bounds(estimate: Estimate) -> Check:
+def _check_bounds(estimate: Estimate) -> Check:
     """Return the check on parameters at a bound, and on axes that their friction would drive."""
     rows = {row.name: row for row in estimate.rows if row.value is not None}
     driving = []
@@ -261,8 +271,202 @@ def scale_check(known: Sequence[str], lost: Sequence[str] = (), *, identified: b
     said = f"the torque is computed from the declared controller and the motor position, {said}"
     if lost:
         said += f"; {join(lost)} includes what the integral held at the first sample"
-    values, code = (
-        {"parameters": [*known], "undetermined": [*lost]},
-        Reason.SCALE_KNOWN if known else Reason.SCALE_DECLARED,
-    )
+    code = Reason.SCALE_KNOWN if known else Reason.SCALE_DECLARED
+    values = {"parameters": [*known], "undetermined": [*lost]}
     return Check(code, said, values, name=Subject.SCALE, passed=True if known else None)
+
+
+# Whether to rely on the answer
+
+_ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia", "inertia@1")  # the first that is free is the answer
+_OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
+_OF_SPRING = ("stiffness", "damping")
+_OF_VALUES = (Subject.BOUNDS, Subject.AGREEMENT, Subject.DRIFT, Subject.ENCODERS)  # speak against what they name
+_WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
+_KNOWN = 0.1  # relative standard error of a robot's parameter that counts as known
+
+
+class Trust(StrEnum):
+    """Whether to rely on an answer."""
+
+    RELIABLE = "reliable"
+    PARTLY = "reliable_but_not_all_parameters"
+    NOT_YET = "not_reliable_yet"
+    NOT_CHECKED = "not_checked"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The first line of a result.
+
+    Attributes:
+        found: the value with its 2-sigma interval, of code "value", "lower_bound" or "not_determined", or "parameters"
+            of a robot; values: ``parameter``, ``value``, ``two_sigma``, ``unit``, ``mode_hz`` (free-free) and
+            ``lower_bound``, None where there is none.
+        trust: whether to rely on it, of code `Trust`; values: ``reasons``, the codes of what speaks against it, and
+            ``parameters``, those that a fault moves out of their intervals.
+    """
+
+    found: Message
+    trust: Message
+
+    @property
+    def reliable(self) -> bool:
+        """True if nothing that was checked speaks against the value."""
+        return self.trust.code in (Trust.RELIABLE, Trust.PARTLY)
+
+    def __str__(self) -> str:
+        """Return the line: ``Inertia 94.90 ± 0.92 kg. You can rely on it.``."""
+        return f"{self.found}. {self.trust}."
+
+
+def answer_of(estimate: Estimate) -> Answer:
+    """Return the first line of an estimate."""
+    if estimate.robot is not None:
+        return Answer(_count_known(estimate), _rely_on(estimate, None))
+    rows = estimate.parameters
+    asked = [rows[name] for name in _ASKED if name in rows]
+    found = [row for row in asked if row.free or row.value is None or row.at_bound is not None]
+    first = next(iter([*found, *(row for row in estimate.rows if row.free), *estimate.rows]))
+    return Answer(_tell(estimate, first), _rely_on(estimate, first))
+
+
+def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
+    """Return a value with its interval, unit and mode; of a refused one its bound, the softest admissible one."""
+    mode, least, code = estimate.frequencies.get("free_free"), None, "value"
+    words = f"{in_words(asked.name).capitalize()} {asked} {asked.unit}"
+    if asked.value is None:
+        stated, code = told_bounds(estimate), "not_determined"
+        words = f"{in_words(asked.name).capitalize()} not determined by this record"
+        if bounds := [(b.stiffness, b.frequency, b.share) for b in stated if b.stiffness and b.frequency]:
+            (least, hertz, _), code = min(bounds), "lower_bound"
+            words += f": at least {number(float(f'{least:.2e}'), 3)} {asked.unit}, mode above {number(hertz, 2)} Hz"
+        if least is not None and len(bounds) < len(stated):
+            shares = [share for _, _, share in bounds]
+            words += f", for a load of {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the inertia"
+    elif mode is not None:
+        words += f", mode {number(mode, 3)} Hz"
+    two_sigma = None if asked.deviation is None else 2 * asked.deviation
+    values = {"parameter": asked.name, "value": asked.value, "two_sigma": two_sigma, "unit": asked.unit}
+    return Message(code, words, values | {"mode_hz": mode, "lower_bound": least})
+
+
+def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
+    """Return the bounds of a refused stiffness; none where loop or model are not those of the torque they come from."""
+    wrong = estimate.fit.filtered_error > POOR_FIT or _failed(estimate, Subject.LOOP)
+    return () if wrong else estimate.bounds
+
+
+def _count_known(estimate: Estimate) -> Message:
+    """Return the number of known parameters of a robot, and its largest error."""
+    asked = [row for row in estimate.rows if row.free and row.of_joint]
+    known = [row for row in asked if row.value and row.stderr is not None and row.stderr < _KNOWN * abs(row.value)]
+    left = estimate.fit.axis_errors
+    worst = max(left, key=lambda axis: left[axis])
+    words = f"{len(known)} of {len(asked)} parameters known to a tenth, {number(100 * left[worst], 3)} % of the torque "
+    none = dict.fromkeys(("parameter", "value", "two_sigma", "unit", "mode_hz", "lower_bound"))
+    values = none | {"known": len(known), "asked": len(asked), "worst": worst}
+    return Message("parameters", f"{words}of {worst} not explained", values)
+
+
+def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
+    """Return the trust in a value; in all values of a robot where none is asked for."""
+    loop, springs = estimate.about(Subject.LOOP), _failed(estimate, Subject.STIFFNESS)
+    code, against = Trust.NOT_CHECKED, [*_speak_against(estimate, asked)]
+    moved = [] if asked is None else _moved_out(estimate)
+    if against:
+        code, moved = Trust.NOT_YET, []
+        words = f"Do not rely on it yet: {'; '.join(one.brief for one in against[:2])}"
+    elif asked is not None and asked.value is None:
+        remedy = "Identify the joint as rigid, or record" if asked.name == "stiffness" else "Record"
+        code, moved, words = Trust.REFUSED, [], f"{remedy} a motion that shows it"
+    elif moved:
+        code, against = Trust.PARTLY, [loop[0]]
+        words = f"You can rely on it, but not on {join([*map(in_words, moved)])}: {loop[0].brief}"
+    elif springs:
+        code, against, moved = Trust.PARTLY, springs[:1], [row.name for row in estimate.rows if row.value is None]
+        words = "You can rely on it, but not on joints whose spring the record does not show"
+    elif asked is not None and not asked.free:
+        words = "It was declared, not identified"
+    elif unchecked := _name_unchecked(estimate):
+        words, against = unchecked, [Message(Reason.MOTION_MEASURED, "")] * estimate.motion_measured
+    else:
+        within = ": what is wrong with loop or log moves it by less than its interval"
+        code, words = Trust.RELIABLE, f"You can rely on it{within if _failed(estimate, Subject.LOOP) else ''}"
+    return Message(code, words, {"reasons": [str(one.code) for one in against], "parameters": moved})
+
+
+def _failed(estimate: Estimate, name: Subject) -> list[Message]:
+    """Return the statements that failed of a question."""
+    return [one for one in estimate.about(name) if one.passed is False]
+
+
+def _name_unchecked(estimate: Estimate) -> str:
+    """Return the conditions of an answer that were not checked; "" if nothing."""
+    loop = estimate.about(Subject.LOOP)
+    if estimate.motion_measured or not loop:  # another record has the same bias where the motion was measured
+        remedy = "validate it on another record"
+        if estimate.motion_measured:
+            remedy = "the motion was measured under control: what disturbs it biases these values; identify by DIDIM"
+        left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
+        return f"Checked by its fit only ({left}): {remedy}"
+    if loop[0].passed is None:
+        axes = loop[0].values.get("axes", ())
+        which = f"controller of {join(axes)}" if axes else "controller"
+        return f"You can rely on it if the {which} is as declared, which was not checked"
+    if any(one.passed is None for one in estimate.about(Subject.SCALE)):
+        return "You can rely on it if the scale of the controller's gains is right, which positions do not show"
+    return ""
+
+
+def _speak_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
+    """Yield what speaks against a value, its own wide interval, too; what is wrong at all where none is asked for.
+
+    Where a parameter is held at a bound, or the torque is not explained, others make up for what is wrong with loop and
+    log: how far it moves a value alone says little then.
+    """
+    loop, name = _failed(estimate, Subject.LOOP), "" if asked is None else asked.name
+    held = any(row.of_joint and row.at_bound is not None for row in estimate.rows)
+    gross = held or not estimate.fit.filtered_error <= POOR_FIT or not any("changes" in one.values for one in loop)
+    refused = asked is not None and asked.value is None
+    if asked is None or refused or gross or name in _moved_out(estimate):
+        yield from loop[:1]
+        # A second fault was found beside the first one, corrected.
+        yield from (one for one in loop[1:2] if "suspect" in one.values and not refused)
+    elif name in _OF_SPRING:
+        # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
+        yield from (one for one in loop if one.code in _OF_MECHANICS)
+    if refused:
+        return
+    for one in estimate.checks:
+        named = one.name in _OF_VALUES and name in one.values.get("parameters", ())
+        if one.passed is False and one.name != Subject.LOOP and (named or one.code in AGAINST_EVERY_VALUE):
+            yield one
+    if asked is None or not asked.free or asked.at_bound is not None:
+        return
+    value, deviation = asked.value or 0.0, asked.deviation
+    if deviation is None or not math.isfinite(value + deviation):
+        yield Message(Reason.NO_INTERVAL, "its interval is not known")
+    elif 2 * deviation > _WIDE * abs(value):
+        share = f"to {number(200 * deviation / abs(value), 2)} % only" if value else "not even by its sign"
+        yield Message(Reason.WIDE_INTERVAL, f"it is known {share}")
+
+
+def moved_by_loop(estimate: Estimate) -> dict[str, list[float]]:
+    """Return by how much the correction of each fault of loop and log changes the parameters, by name."""
+    found = dict[str, list[float]]()
+    for one in estimate.about(Subject.LOOP):
+        for name, by in one.values.get("changes", {}).items():
+            found.setdefault(name, []).append(by)
+    return found
+
+
+def _moved_out(estimate: Estimate) -> list[str]:
+    """Return the parameters that a fault of loop or log, or all of them together, moves out of their intervals.
+
+    They leave two standard errors, and by no slight change.
+    """
+    moved = {name: max(map(abs, (sum(by), *by))) for name, by in moved_by_loop(estimate).items()}
+    within = {row.name: max(2.0 * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0)) for row in estimate.rows}
+    return [name for name, width in within.items() if moved.get(name, 0.0) > width]

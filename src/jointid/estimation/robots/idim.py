@@ -18,9 +18,7 @@ from jointid.common.text import join
 from jointid.estimation.methods.idim import IDIM, VARIANTS, regress, simulate_motion, torques_along
 from jointid.estimation.parameters import RobotParameters, robot_parameters
 from jointid.estimation.problems.inverse_model import Records, Rows, each_log, inverse_of_robot
-from jointid.estimation.result.build_result import build_estimate
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Settings
+from jointid.estimation.result.estimate import Estimate, Settings, build_estimate
 from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.signals.filtering import Filtering, describe_noise_limit

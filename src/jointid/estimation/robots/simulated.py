@@ -23,9 +23,7 @@ from jointid.estimation.parameters import (
 )
 from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.problems.simulated import pose_robot
-from jointid.estimation.result.build_result import build_estimate
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, Settings
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter, Settings, build_estimate
 from jointid.estimation.robots.didim import RobotFit, SpringVerdict, conclude, search_robot
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record

@@ -9,7 +9,6 @@ from typing import Literal
 from jointid.common.errors import MethodError
 from jointid.config import File, dumps, edit, loads, move_paths, replace_table
 from jointid.config.loading import parameter_table
-from jointid.estimation.result.parts import show_value
 from jointid.output.export.bodies import Model
 from jointid.output.export.joint_model import number
 
@@ -51,7 +50,7 @@ def joint_file(
         if known.free and value is None:
             refused.append(declared.name)
         elif known.free and value is not None and not known.lower <= value <= known.upper:
-            outside.append(f"{declared.name}, which is outside its bounds: {show_value(found)} {found.unit}")
+            outside.append(f"{declared.name}, which is outside its bounds: {found} {found.unit}")
         elif known.free:
             known, stated = replace(known, free=values == "start", start=value), True
         if stated:

@@ -19,8 +19,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter, show_value
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.models.controllers.filters import as_filter
 from jointid.models.controllers.laws import PD, Cascade
 from jointid.models.controllers.servo_base import Controller, numbers_of, with_numbers
@@ -303,7 +302,7 @@ class JointModel:
         if transmission is not None:
             ratio = f"{transmission.motor_per_load!r} motor position per load position, efficiency taken as 1"
             lines.append(f"transmission: {ratio}; all numbers here are of the {self.side} side")
-        lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {show_value(p)} {p.unit}" for p in self.parameters]
+        lines += [f"{' '.join(dict.fromkeys((p.symbol, p.name)))}: {p} {p.unit}" for p in self.parameters]
         return comments(lines, lost)
 
 

@@ -17,9 +17,8 @@ from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.intervals import Profiles, intervals
 from jointid.diagnostics.spectra import FrequencyResponse, compute_response
 from jointid.diagnostics.validation import Validation, validate
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.estimate import IN_WINDOWS, Estimate
 from jointid.estimation.result.fields import dumps, plain
-from jointid.estimation.result.parts import IN_WINDOWS
 from jointid.models.controllers import Controller
 from jointid.output.figures import require_format
 from jointid.output.json import REPORT_SCHEMA, to_dict

@@ -27,8 +27,8 @@ from jointid.common.document import (
 )
 from jointid.common.errors import RecordError
 from jointid.common.text import sentence
-from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.verdict import Trust
 from jointid.output import figures as charts
 from jointid.output.axis_drawing import axis_figure, resonance_sentence
 
