@@ -9,7 +9,7 @@ from scipy import stats
 from jointid.common.parameters import Parameter, Quantity
 from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Combination, single
-from jointid.uncertainty.profile import ByCompliance, profile
+from jointid.uncertainty.profile import by_compliance, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
 
 ROWS = 60
@@ -151,11 +151,11 @@ def spring(stiffness: float, noise: float, seed: int = 0) -> Toy:
 def test_a_stiffness_that_is_seen_is_bounded_by_its_compliance() -> None:
     toy = spring(2.0, 0.1)
     x = minimum(toy, np.array([0.0, 1.0]))
-    by = ByCompliance(toy, 1e-4)
+    by = by_compliance(toy, 1e-4)
     assert [p.name for p in by.free] == ["a", "compliance"]
     assert by.free[1].symbol == "1/K12"
-    there = by.exchange(x)
-    assert by.exchange(there) == pytest.approx(x)
+    there = by.turn(x)
+    assert by.turn(there) == pytest.approx(x)
     residual, J = by.linearise(there)
     step = 1e-6 * np.eye(2)[1]
     slope = (by.residual(there + step) - by.residual(there - step)) / 2e-6
@@ -169,7 +169,7 @@ def test_a_stiffness_that_is_seen_is_bounded_by_its_compliance() -> None:
 
 def test_a_stiffness_that_is_not_seen_has_a_lower_bound_only() -> None:
     toy = spring(1e3, 0.1, seed=3)
-    by = ByCompliance(toy, 1e-6)
+    by = by_compliance(toy, 1e-6)
     start = np.array([0.3, 1e-3])
     error, J = by.linearise(start)
     found = profile(by, start, single(by.free[1], "m/N"), white(J, error))

@@ -10,9 +10,9 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.springs import (
     Fit,
     ModeProfile,
-    SpringProblem,
     bound_all,
     bound_stiffness,
+    describe,
     profile_modes,
     spring,
 )
@@ -43,11 +43,12 @@ def test_a_problem_s_derivatives_are_those_of_its_residual() -> None:
     names = ("motor_viscous", "load_viscous", "offset")
     joint = ("motor_inertia", "load_inertia", "stiffness", "damping")
     problem = problem.keeping({p.name: p.start or 0.0 for p in problem.free if p.name not in (*names, *joint)})
-    at = SpringProblem(problem, (1.0, 400.0))
+    at = describe(problem, (1.0, 400.0), {})
     known = {"inertia": 1.1 * (plant.truth["motor_inertia"] + plant.truth["load_inertia"]), "ratio": 0.05}
     known |= {"share": 0.3, "mode": 50.0} | {name: plant.truth[name] for name in names}
     x = np.array([known[p.name] for p in at.free])
-    assert at.values_by_name(x) == pytest.approx(known)
+    values = problem.values(at.turn(x))
+    assert {name: values[name] for name in spring(known)} == pytest.approx(spring(known))
     _, J = at.linearise(x)
     for i, p in enumerate(at.free):
         step = np.zeros(x.size)
@@ -71,8 +72,7 @@ class Told(ModeProfile):
 
 
 def told(threshold: float, *, dip: bool = False) -> Told:
-    described = SpringProblem(None, (10.0, 300.0))  # type: ignore[arg-type]  # its cost needs no problem
-    made = Told(described, threshold=threshold)
+    made = Told(None, (10.0, 300.0), threshold=threshold)  # type: ignore[arg-type]  # its cost needs no problem
     start = {"inertia": 2.0, "ratio": 0.03, "share": 0.3}
     made.stiff = made.fit(start, 1, mode=300.0)
     made.points = [made.fit(start, 1, mode=float(mode)) for mode in np.geomspace(300.0, 10.0, 10)[1:]]

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,7 @@ _IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that
 _LEAST = 1e-4  # of the compliance: a smaller one is negligible
 _SOLVER = LevenbergMarquardt(1e-8, 30)  # of a fit with the quantity held
 _POINTS = 14  # at most, on each side
+_TINY = 1e-30  # of a complex step, which no digit of a real value has
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,45 +93,44 @@ class ProfileInterval:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class ByCompliance:
-    """A problem parametrised by the compliance 1/K, nearly linear for stiff joints.
-
-    An unidentifiable stiffness has no upper bound; its compliance has 0 in its interval.
+@dataclass(frozen=True, slots=True, eq=False)
+class Reparametrised:
+    """A problem in other parameters.
 
     Attributes:
-        problem: with one free parameter that is a stiffness.
-        least: the compliance that is as good as none: nothing stiffer is simulated.
+        problem: in its own. free: the others.
+        turn: from their values, (free,), real or complex, to the free ones of the problem.
     """
 
     problem: Problem
-    least: float
-
-    @property
-    def at(self) -> int:
-        """Place of the stiffness among the parameters."""
-        return [p.quantity for p in self.problem.free].index(Quantity.STIFFNESS)
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters, the compliance in the place of the stiffness."""
-        found, stiff = list(self.problem.free), self.problem.free[self.at]
-        lower, upper = max(1.0 / stiff.upper, self.least), 1.0 / stiff.lower if stiff.lower > 0 else math.inf
-        found[self.at] = Parameter("compliance", f"1/{stiff.symbol}", Quantity.COMPLIANCE, lower=lower, upper=upper)
-        return tuple(found)
-
-    def exchange(self, x: FloatArray) -> FloatArray:
-        """Exchange stiffness and compliance in a parameter vector."""
-        return np.where(np.arange(x.size) == self.at, 1.0 / x[self.at], x)
+    free: tuple[Parameter, ...]
+    turn: Callable[[Any], Any]
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual, (rows,)."""
-        return self.problem.residual(self.exchange(x))
+        return self.problem.residual(self.turn(x))
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual, (rows,), and derivatives, (rows, free)."""
-        residual, J = self.problem.linearise(self.exchange(x))
-        return residual, J * np.where(np.arange(x.size) == self.at, -1.0 / x[self.at] ** 2, 1.0)
+        """Return the residual, (rows,), and its derivatives, (rows, free), those of `turn` by complex steps."""
+        error, J = self.problem.linearise(self.turn(x))
+        if not np.isfinite(np.vdot(J, J)):
+            # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
+            return error, np.zeros((error.size, x.size))
+        turns = [np.imag(self.turn(x + 1j * _TINY * step)) / _TINY for step in np.eye(x.size)]
+        return error, J @ np.array(turns).T
+
+
+def by_compliance(problem: Problem, least: float) -> Reparametrised:
+    """Return a problem with a stiffness in the compliance 1/K, in which a stiff joint is nearly linear.
+
+    An unidentifiable stiffness has no upper bound; its compliance has 0 in its interval. One below `least` is as good
+    as none: nothing stiffer is simulated.
+    """
+    at, stiff = next((i, p) for i, p in enumerate(problem.free) if p.quantity is Quantity.STIFFNESS)
+    lower, upper = max(1.0 / stiff.upper, least), 1.0 / stiff.lower if stiff.lower > 0 else math.inf
+    own = Parameter("compliance", f"1/{stiff.symbol}", Quantity.COMPLIANCE, lower=lower, upper=upper)
+    free = (*problem.free[:at], own, *problem.free[at + 1 :])
+    return Reparametrised(problem, free, lambda x: np.where(np.arange(x.size) == at, 1.0 / x[at], x))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -283,9 +283,9 @@ def profile_compliance(
     points: int = _POINTS,
 ) -> ProfileInterval:
     """Profile 1/K12, in which a stiff joint is nearly linear; arguments as of `profile`, and a joint's `unit`."""
-    stiffness = float(x[[p.quantity for p in problem.free].index(Quantity.STIFFNESS)])
-    by = ByCompliance(problem, _LEAST / stiffness)
-    turn = np.where(np.arange(x.size) == by.at, -1.0 / stiffness**2, 1.0)  # of 1/K by K
-    wanted = Combination("compliance", "1/K12", unit(by.free[by.at]), {"compliance": 1.0})
+    at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
+    by = by_compliance(problem, _LEAST / float(x[at]))
+    turn = np.where(np.arange(x.size) == at, -1.0 / x[at] ** 2, 1.0)  # of 1/K by K
+    wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
     turned = covariance_of(covariance.matrix * np.outer(turn, turn))
-    return profile(by, by.exchange(x), wanted, turned, solver, points)
+    return profile(by, by.turn(x), wanted, turned, solver, points)

@@ -43,6 +43,7 @@ from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Identifiability, Known, find_separable, sums_of
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
+from jointid.uncertainty.profile import Reparametrised
 
 SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 """Of the load in the inertia, for which a bound is given."""
@@ -72,7 +73,6 @@ _EDGE = 1e-6  # of the softest mode that is tried
 _ALIKE = 0.04  # of a mode and a share: minima so near are one
 _TOLERANCE = 1e-4  # of a fit
 _ROUNDING = 1e-9  # damping of a step, in columns of norm 1: what several columns make alike is shared
-_TINY = 1e-30  # of a complex step, which no digit of a real value has
 _SPRING = ("motor_inertia", "load_inertia", "stiffness", "damping")
 
 
@@ -250,54 +250,32 @@ def _other_spring(made: ModeProfile, stiffness: float, std: float) -> list[str]:
 # How soft it may be
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SpringProblem:
-    """A flexible problem by inertia, damping ratio, share of the load and mode, of which some may be held.
+def describe(problem: ClosedLoopProblem, room: tuple[float, float], held: Mapping[str, float]) -> Reparametrised:
+    """Return a flexible problem by inertia, damping ratio, share of the load and mode, and what else was free.
 
-    Attributes:
-        problem: of the flexible joint, inertias and spring free; its friction, offset and first state as they were.
+    Args:
+        problem: of the flexible joint, inertias and spring free.
         room: the modes a free one stays between, Hz.
         held: share, and mode in Hz, free-free, by name; those that are not free.
     """
+    four = (
+        Parameter("inertia", "ZZ", Quantity.INERTIA, lower=1e-300),
+        Parameter("ratio", "zeta", Quantity.RATIO, lower=0.0, upper=MOST_DAMPED),
+        Parameter("share", "s", Quantity.RATIO, lower=_SMALLEST, upper=_LARGEST),
+        Parameter("mode", "f", Quantity.GAIN, lower=room[0], upper=room[1]),
+    )
+    others = [p for p in problem.free if p.name not in _SPRING]
+    free = (*(p for p in four if p.name not in held), *others)
 
-    problem: ClosedLoopProblem
-    room: tuple[float, float]
-    held: Mapping[str, float] = field(default_factory=dict)
+    def turn(x: Any) -> Any:
+        described = {**held, **_by_name(free, x)}
+        return problem.vector(described | spring(described))
 
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The whole inertia, the damping ratio, what is free of share and mode, then the others."""
-        four = (
-            Parameter("inertia", "ZZ", Quantity.INERTIA, lower=1e-300),
-            Parameter("ratio", "zeta", Quantity.RATIO, lower=0.0, upper=MOST_DAMPED),
-            Parameter("share", "s", Quantity.RATIO, lower=_SMALLEST, upper=_LARGEST),
-            Parameter("mode", "f", Quantity.GAIN, lower=self.room[0], upper=self.room[1]),
-        )
-        return (
-            *(p for p in four if p.name not in self.held),
-            *(p for p in self.problem.free if p.name not in _SPRING),
-        )
+    return Reparametrised(problem, free, turn)
 
-    def values_by_name(self, x: FloatArray) -> dict[str, float]:
-        """Return inertia, ratio, share, mode and the others by name."""
-        return {**self.held, **dict(zip((p.name for p in self.free), x.tolist(), strict=True))}
 
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual, (rows,)."""
-        return self.problem.residual(self._vector(x))
-
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives, (rows, free)."""
-        error, J = self.problem.linearise(self._vector(x))
-        if not np.isfinite(np.vdot(J, J)):
-            # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
-            return error, np.zeros((error.size, x.size))
-        turns = [np.imag(self._vector(x + 1j * _TINY * step)) / _TINY for step in np.eye(x.size)]
-        return error, J @ np.array(turns).T
-
-    def _vector(self, x: Any) -> Any:
-        described = self.values_by_name(x)
-        return self.problem.vector(described | spring(described))
+def _by_name(free: Sequence[Parameter], x: Any) -> dict[str, Any]:
+    return dict(zip((p.name for p in free), x.tolist(), strict=True))
 
 
 def spring(described: Mapping[str, Any]) -> dict[str, Any]:
@@ -328,7 +306,7 @@ class ModeProfile:
     """The criterion over modes, with everything else fitted anew, on a band that shows modes above the fitted one, too.
 
     Attributes:
-        described: the problem, with nothing held.
+        problem: see `describe`. room: the modes between which it is made, Hz.
         tally: counts the simulations.
         threshold: how much worse than the best a joint may be; infinite where the stiff joint explains nothing.
         stiff: the joint that is nearly rigid.
@@ -336,7 +314,8 @@ class ModeProfile:
         minima: with it free, the best first.
     """
 
-    described: SpringProblem
+    problem: ClosedLoopProblem
+    room: tuple[float, float]
     tally: Tally = field(default_factory=Tally)
     threshold: float = 0.0
     stiff: Fit = field(default=Fit({}, math.inf, math.inf))
@@ -345,7 +324,7 @@ class ModeProfile:
 
     def fit(self, start: Mapping[str, float], evaluations: int, **held: float) -> Fit:
         """Return the best joint near a start, with its share or its mode held."""
-        problem = replace(self.described, held=held)
+        problem = describe(self.problem, self.room, held)
         bounds, x = Bounds.of(problem.free), np.array([start[p.name] for p in problem.free])
         end = solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
         self.tally.evaluations += end.evaluations
@@ -355,7 +334,7 @@ class ModeProfile:
             step = damped_step(end.residual, end.jacobian, room, _ROUNDING, widths)
             promised = end.residual + end.jacobian @ step
             least = min(cost, float(promised @ promised))
-        return Fit(problem.values_by_name(end.x), cost, least)
+        return Fit({**held, **_by_name(problem.free, end.x)}, cost, least)
 
 
 def profile_modes(
@@ -383,7 +362,7 @@ def profile_modes(
     start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
     free = {p.name: replace(p, free=True) for p in problem.parameters if p.name in _SPRING}
-    made = ModeProfile(SpringProblem(problem.with_log(filtering=band).replace_parameters(free), (low, high)), tally)
+    made = ModeProfile(problem.with_log(filtering=band).replace_parameters(free), (low, high), tally)
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
     for mode in np.geomspace(high, low, _STEPS)[1:]:
@@ -424,15 +403,15 @@ def _compute_cost_limit(made: ModeProfile) -> float:
     its friction on the motor's side: there the load's does nothing else. Where that joint explains nothing, as when its
     loop is unstable, there is no such ratio, and nothing is excluded.
     """
-    problem = made.described.problem
+    problem, high = made.problem, made.room[1]
     if made.stiff.cost > np.sum(problem.filter(problem.measured) ** 2):
         return math.inf
     idle = [p for p in problem.free if p.name.startswith("load_") and p.name not in _SPRING]
-    held = {"share": _SHARE, "mode": made.described.room[1]}
-    stiff = replace(made.described, problem=problem.keeping({p.name: p.start or 0.0 for p in idle}), held=held)
+    problem = problem.keeping({p.name: p.start or 0.0 for p in idle})
+    stiff, softer = (describe(problem, made.room, {"share": _SHARE, "mode": mode}) for mode in (high, high / 1.2))
     x = np.array([made.stiff.at[p.name] for p in stiff.free])
     error, J = stiff.linearise(x)
-    bent = replace(stiff, held={**held, "mode": held["mode"] / 1.2}).residual(x) - error
+    bent = softer.residual(x) - error
     made.tally.evaluations += 2
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
@@ -451,7 +430,7 @@ def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessB
     if made.minima and made.stiff.cost - made.minima[0].cost > _CHANCE * made.threshold:
         best = own[made.minima[0].mode] = made.fit({**made.minima[0].at, "share": share}, _FREE, share=share)
         limit = min(limit, best.cost + made.threshold)
-    softest, rejected = made.stiff, made.described.room[0]
+    softest, rejected = made.stiff, made.room[0]
     for point in sorted((*made.points, *made.minima), key=lambda point: point.mode):
         tried, held = own.get(point.mode, point), {} if point in made.minima else {"mode": point.mode}
         excluded = bool(held) and point.mode <= floor
