@@ -509,13 +509,9 @@ def rows_of_problem(
 
     A deviation that is no number is not known. Residual and derivatives there tell which bounds are reached.
     """
-    own, units, held = (
-        {p.name for p in problem.joint.parameters},
-        problem.units,
-        find_active_bounds(problem.free, x, error, J),
-    )
+    own, held = {p.name for p in problem.joint.parameters}, find_active_bounds(problem.free, x, error, J)
     std = {p.name: float(one) for p, one in zip(problem.free, covariance.std, strict=False) if np.isfinite(one)}
-    return build_rows(problem.parameters, problem.values(x), std, lambda p: units[p.name], own, held)
+    return build_rows(problem.parameters, problem.values(x), std, problem.joint.unit, own, held)
 
 
 def build_rows(
@@ -524,7 +520,7 @@ def build_rows(
     std: Mapping[str, float],
     unit: Callable[[Parameter], str],
     of_joint: Collection[str],
-    held: Mapping[str, float] | None = None,
+    held: Mapping[str, float],
 ) -> tuple[EstimatedParameter, ...]:
     """Return the rows of parameters, from their values, deviations of the free ones, and bounds that hold, by name.
 
@@ -533,7 +529,7 @@ def build_rows(
     return tuple(
         EstimatedParameter(
             p.name, p.symbol, unit(p), values[p.name], std.get(p.name), p.free,
-            of_joint=p.name.partition("@")[0] in of_joint, at_bound=(held or {}).get(p.name),
+            of_joint=p.name.partition("@")[0] in of_joint, at_bound=held.get(p.name),
         )
         for p in parameters
     )  # fmt: skip
@@ -579,18 +575,17 @@ def build_estimate(
     errors, names = np.atleast_1d(error), () if robot is None else robot.model.names
     logs = [read[at : at + errors.size] for at in range(0, len(read), errors.size)]
     by_axis = dict(zip(names, map(float, errors), strict=False))
+    told = () if robot is None or nominal is None or not robot.model.has_masses else map(float, nominal)
     if settings.loop is not None:
         injected = ["injected" for record in records if record.injected is not None]
         channels = (*(channels or settings.loop.channels), *injected)
     fit = Fit(
         measured, predicted, relative_error(measured, predicted, borders),
         float(np.sqrt(np.mean(errors**2))) if by_axis else float(errors[0]), fitted, simulations, *end,
-        axis_errors=by_axis,
+        axis_errors=by_axis, nominal_errors=dict(zip(names, told, strict=False)),
     )  # fmt: skip
     if robot is not None:
         warnings = (*robot.model.remarks, *warnings)
-        if robot.model.has_masses and nominal is not None:
-            fit = replace(fit, nominal_errors=dict(zip(names, map(float, nominal), strict=True)))
     data = Data(
         record=join(list(dict.fromkeys(record.name for record in records))),
         channels=tuple(dict.fromkeys(channels or (name for record in records for name in record.channels))),
