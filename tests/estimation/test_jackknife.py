@@ -5,7 +5,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
-from jointid.estimation.windows import places_of
+from jointid.estimation.pieces import places_of
 from jointid.solvers.solve import damped_step
 from jointid.uncertainty.resampling import Sums, left_out, rows_of, total
 

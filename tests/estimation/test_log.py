@@ -11,18 +11,19 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
 from jointid.estimation.identify import windows_of
-from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.pieces import WindowsOfLog, begin_window
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import LoopLog
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import Friction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
-from jointid.records.chunks import Log, cut
+from jointid.records.chunks import InMemory, Log, cut
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
+from jointid.simulation.simulate import Outcome
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
 from tests.rigid_axis import JOINT, LOOP, TRUTH, run
@@ -63,11 +64,11 @@ def test_windows_say_what_the_whole_says() -> None:
 
 @pytest.mark.slow
 def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
-    loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
+    loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, PERIOD, duration=600.0)
     force = 30.0 * np.random.default_rng(5).standard_normal(reference.size)
     record = simulated_record(loop, reference, TABLE_2, sample_time=PERIOD, disturbance=force)
-    method = DIDIM(frequency=30.0)
+    method = ji.DIDIM(frequency=30.0)
     whole, parts = identify(record, loop, method), identify(record, loop, windows=15.0, method=method)
     for name in TABLE_2:
         std = whole[name].stderr
@@ -128,7 +129,7 @@ def test_windows_without_motion_are_left_out() -> None:
 @pytest.mark.slow
 def test_how_long_a_window_remembers_is_measured() -> None:
     stiff = identify(rigid(40.0), LOOP, windows=5.0)
-    slow = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=5.0, velocity_gain=500.0))
+    slow = ji.ClosedLoop(ji.RigidJoint("prismatic"), Cascade(position_gain=5.0, velocity_gain=500.0))
     reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=100.0)
     record = simulated_record(slow, reference, TRUTH, sample_time=PERIOD)
     loose = identify(record, slow, windows=10.0)
@@ -138,11 +139,11 @@ def test_how_long_a_window_remembers_is_measured() -> None:
 
 
 def test_what_surrounds_the_joint_can_be_free() -> None:
-    declared = ClosedLoop(RigidJoint("prismatic"), PD(position_gain=1.1e5, derivative_gain=2000.0))
-    true = ClosedLoop(RigidJoint("prismatic"), PD(position_gain=1e5, derivative_gain=2000.0))
+    declared = ji.ClosedLoop(ji.RigidJoint("prismatic"), PD(position_gain=1.1e5, derivative_gain=2000.0))
+    true = ji.ClosedLoop(ji.RigidJoint("prismatic"), PD(position_gain=1e5, derivative_gain=2000.0))
     reference = trapezoids(SPEEDS, 2.0, 0.1, PERIOD, duration=60.0)
     record = simulated_record(true, reference, TRUTH, sample_time=PERIOD)
-    estimate = identify(record, declared, windows=5.0, method=DIDIM(free=("position_gain",)))
+    estimate = identify(record, declared, windows=5.0, method=ji.DIDIM(free=("position_gain",)))
     assert estimate["position_gain"].value == pytest.approx(1e5, rel=1e-4)
     assert estimate.settings.loop.controller.position_gain == pytest.approx(1e5, rel=1e-4)  # type: ignore[union-attr]
     assert "position_gain" not in estimate.values
@@ -150,7 +151,7 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
 
 def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     """Both ways in the first half, forwards only in the second, which tells nothing of friction backwards."""
-    loop = ClosedLoop(RigidJoint("prismatic", friction=Friction("asymmetric")), LOOP.controller)
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic", friction=ji.friction.Friction("asymmetric")), LOOP.controller)
     lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
     both = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 10)
     out = lap[: np.argmax(lap) + 1]
@@ -171,7 +172,7 @@ def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
 
 def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> None:
     """Windows of 5.01 s would begin in the middle of one of 4 ms: noise-free, that left 0.04 % of the torque."""
-    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=30.0, velocity_gain=2000.0, period=4e-3))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), Cascade(position_gain=30.0, velocity_gain=2000.0, period=4e-3))
     lap = trapezoids(SPEEDS, 2.0, 0.1, PERIOD)
     reference = np.tile(np.concatenate([lap, np.zeros(10_000 - lap.size)]), 4)
     estimate = identify(simulated_record(loop, reference, TRUTH, sample_time=PERIOD), loop, windows=5.001)
@@ -185,6 +186,7 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
     record, said = rigid(40.0), list[str]()
     assert windows_of(record, LOOP, None) is None
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
+    monkeypatch.setattr("jointid.estimation.identify.WINDOW", len(record.reference) // 3)
     found = ji.identify(record, LOOP, progress=said.append)
     assert found.data.windows.length == pytest.approx(40.0 / 3.0, rel=1e-3)
     expected = identify(record, LOOP, windows=found.data.windows.length)
@@ -195,7 +197,7 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
     said_of = "is identified in windows of 13.3 s, of which one is checked"
     assert any(said_of in one for one in said) and any(said_of in one for one in found.warnings)
     for use in (ji.design, ji.Report.of, lambda one, _: ji.figures.torque(one)):
-        with pytest.raises(MethodError):
+        with pytest.raises(ji.MethodError):
             use(found, record)
 
 
@@ -209,6 +211,7 @@ def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPa
     torque = np.where(np.arange(len(record.torque)) < 10_500, 0.0, record.torque.values)
     record = replace(record, torque=replace(record.torque, values=torque))
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.torque) // 2)
+    monkeypatch.setattr("jointid.estimation.identify.WINDOW", len(record.torque) // 6)
     found = ji.identify(record, LOOP)
     assert found.data.windows is not None
     (loop,) = (one for one in found.checks if one.name is Subject.LOOP)
@@ -219,10 +222,22 @@ def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypat
     """A log whose windows fail is not identified at once."""
     record, shown = rigid(20.0), list[bool]()
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
-    monkeypatch.setattr("jointid.estimation.windows.moves", lambda records: shown.append(True))
-    with pytest.raises(MethodError, match="In no window"):
+    monkeypatch.setattr("jointid.estimation.pieces.moves", lambda records: shown.append(True))
+    with pytest.raises(ji.MethodError, match="In no window"):
         ji.identify(record, LOOP)
     assert shown and ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
+
+
+def test_a_window_that_fails_near_its_end_turns_the_search_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its torque is finite until there, and was as good as any."""
+    part, simulated = cut(rigid(20.0), 0, 6000), LoopLog.run
+    like = begin_window(torque_problem(part, LOOP, Filtering(), LOOP.joint.parameters), part)
+    x, places = like.vector(TRUTH), lambda q, _: np.zeros(q.size, dtype=np.intp)
+    windows = WindowsOfLog(like, InMemory(part), places, 2000, 500, lambda _: None)
+    before = windows.pass_over(x)
+    monkeypatch.setattr(LoopLog, "run", lambda *log, **kept: replace(simulated(*log, **kept), outcome=Outcome.DIVERGED))
+    after = replace(windows, passes={}).pass_over(x)
+    assert after.stopped and not before.stopped and after.sums.square > 1e4 * before.sums.square
 
 
 def test_a_last_window_that_is_shorter_than_its_filters_is_passed_over() -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.pieces import fill_starts
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.several import fill_starts
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin

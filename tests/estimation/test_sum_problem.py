@@ -8,13 +8,13 @@ import pytest
 
 import jointid as ji
 from jointid.estimation.parameters import INITIAL_STATE
+from jointid.estimation.pieces import GAIN, Layout, share_parameters
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.several import RecordLayout, share_parameters
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
-ADDED = [{}, {"load_inertia": 10.0}]
+ADDED = [0.0, 10.0]
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +36,6 @@ def two(axis: Twin, *free: str) -> list[ClosedLoopProblem]:
     return problems
 
 
-def layout_of(
-    problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]], added: Sequence[dict[str, float]]
-) -> RecordLayout:
-    return RecordLayout(tuple(one.loop for one in problems), tuple(added), tuple(own))
-
-
 @pytest.mark.parametrize(
     ("free", "own", "there", "absent"),
     [
@@ -57,22 +51,25 @@ def test_what_records_share_and_what_is_their_own(
     """Of three records two still share; numbers of two controllers are shared where they are the same."""
     problems = two(axis, *free)
     problems = [problems[0], *problems][-len(own) :]
-    names = {p.name for p in share_parameters(problems, layout_of(problems, own, [{}, *ADDED][-len(own) :])).free}
+    layout = Layout(tuple(one.loop for one in problems), tuple([0.0, *ADDED][-len(own) :]), tuple(own))
+    names = {p.name for p in share_parameters(problems, layout, {}).free}
     assert there <= names
     assert absent not in names
 
 
 def test_derivatives_against_central_differences(axis: Twin) -> None:
-    """Shared, added, own and the drive's gain, through weights; at the truth of both nothing is left."""
-    problems = two(axis, "drive_gain", "position_gain")
-    shared = share_parameters(problems, layout_of(problems, [(), FRICTION], ADDED))
-    problem = replace(shared, sigma=np.array([2.0, 0.7]))
+    """Shared, own, one that is known but for what is added, and the drive's gain, through weights."""
+    problems = two(axis, "position_gain")
+    layout = Layout(tuple(one.loop for one in problems), tuple(ADDED), ((), FRICTION), (GAIN,))
+    known = {p.name: p.fix(axis.truth[p.name]) for p in axis.loop.joint.parameters if p.name == "load_inertia"}
+    problem = replace(share_parameters(problems, layout, known), sigma=np.array([2.0, 0.7]))
     names = [p.name for p in problem.free]
     values = axis.truth | {"drive_gain": 1.0, "position_gain@2": 120.0}
     values["position_gain@1"] = axis.loop.controller.position_gain  # type: ignore[attr-defined]
     truth = np.array([values.get(name, values.get(name.partition("@")[0], 0.0)) for name in names])
     assert np.linalg.norm(problem.residual(truth)) <= 1e-9 * problems[0].size
     x = 1.01 * truth
+    assert problem.join(problem.split(x), problem.gain(x)) == pytest.approx(x)
     residual, J = problem.linearise(x)
     for i, name in enumerate(names):
         step = np.zeros(x.size)
@@ -81,15 +78,3 @@ def test_derivatives_against_central_differences(axis: Twin) -> None:
         limit = 1e-3 if name == "damping" else 1e-4
         assert np.linalg.norm(J[:, i] - found) <= limit * np.linalg.norm(found), name
     assert residual.size == sum(one.kept.size for one in problems)
-
-
-def test_the_start_is_the_mean_of_several_without_what_was_added(axis: Twin) -> None:
-    problems = two(axis)
-    shared = share_parameters(problems, layout_of(problems, [(), FRICTION], ADDED))
-    found = [p.vector(axis.truth | {"initial_position": 0.0}) for p in problems]
-    found[1][0] += 2.0  # of the motor's inertia
-    found[1][5] += 10.0  # of the load's
-    x = dict(zip([p.name for p in shared.free], shared.join(found), strict=True))
-    assert x["load_inertia"] == pytest.approx(axis.truth["load_inertia"])
-    assert x["motor_inertia"] == pytest.approx(axis.truth["motor_inertia"] + 1.0)
-    assert x["load_coulomb@2"] == axis.truth["load_coulomb"]

@@ -39,7 +39,7 @@ from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.parameters import DELAYS, DRIVE_AND_LOG, INITIAL
+from jointid.estimation.parameters import DELAYS, INITIAL, OF_LOG
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
@@ -263,7 +263,7 @@ def find_causes(
         return Causes(left, plain=plain)
     filtering, until = Filtering(), time.process_time() + _SECONDS
     if estimate is not None:
-        filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *DRIVE_AND_LOG}
+        filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *OF_LOG}
         free = [row.name for row in estimate.rows if row.name in names and not row.of_joint]
     filtering = filtering.resolve(record.torque.sample_time, loop.joint.model)
     declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
@@ -470,7 +470,7 @@ def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -
 
 def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
     """Return the problem of a case with one of its loops, its number free within wide bounds; None if there is none."""
-    around = [one for one in case.beside if one in DRIVE_AND_LOG or one in numbers_of(loop.controller)]
+    around = [one for one in case.beside if one in OF_LOG or one in numbers_of(loop.controller)]
     filtering, torque = case.filtering, case.record.torque
     assert torque is not None
     if low and isinstance(loop.joint, FlexibleJoint):

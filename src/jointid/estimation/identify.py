@@ -1,7 +1,13 @@
-"""From a record, several, or a log too long for memory, to a fit."""
+"""From a record, several, or a log too long for memory, to a fit.
+
+DIDIM reproduces the logged torque, or the motor position. The position is compared as the torque that the declared
+controller outputs for it (`simulation.controller_torque`), so search, intervals and checks are those of a logged
+torque.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,21 +21,20 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method, Task, default_method
-from jointid.estimation.outputs import state_scale, state_timing, torques_of
-from jointid.estimation.parameters import adjust_parameters, require_friction
+from jointid.estimation.parameters import LOG_DELAY, adjust_parameters, require_friction
+from jointid.estimation.pieces import GAIN, identify_records, identify_windows, lay_out, travel
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.result.estimate import Estimate, fingerprint
-from jointid.estimation.result.verdict import Reason, Subject, check_of
+from jointid.estimation.result.verdict import Reason, Subject, check_of, scale_check
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.simulated import identify_simulated_robot
-from jointid.estimation.several import RecordLayout, identify_records
-from jointid.estimation.windows import identify_windows, travel
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings, range_faults, scale_faults
 from jointid.records.chunks import InMemory, LongRecord, cut
-from jointid.records.record import Record
+from jointid.records.record import CHANNELS, Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 
 LARGEST = 600_000
@@ -39,8 +44,10 @@ WINDOW = 60_000
 """Samples of a window of such a record, of which one is checked."""
 
 _LONGEST = 60.0  # s of a window, unless it is given
+_CONSTANT = ("offset", "gravity_constant", "coulomb_forwards", "coulomb_backwards")  # includes a constant torque
+_OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
+_ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
 _SHARED = ("added_inertia", "own", "free")  # what several records are given
-_PARTS = 3  # windows in what is identified at once
 
 _METHODS_OF: Mapping[type, tuple[type[Method], ...]] = {
     Robot: (IDIM,),
@@ -63,15 +70,15 @@ def windows_of(
     if not isinstance(record, Record) or not is_long(record) or _refuse_windows(record, model, method, several):
         return None
     sample_time = next(channel.sample_time for _, channel in record.items())
-    return min(_LONGEST, sample_time * min(WINDOW, LARGEST / _PARTS))
+    return min(_LONGEST, sample_time * WINDOW)
 
 
 def part_of(record: Record) -> Record:
     """Return a record; of a long one the window in which the axis moves most."""
     if not is_long(record):
         return record
-    size, samples = int(min(WINDOW, LARGEST / _PARTS)), min(len(channel) for _, channel in record.items())
-    return max((cut(record, first, first + size) for first in range(0, samples - size + 1, size)), key=travel)
+    samples = min(len(channel) for _, channel in record.items())
+    return max((cut(record, first, first + WINDOW) for first in range(0, samples - WINDOW + 1, WINDOW)), key=travel)
 
 
 def _refuse_windows(record: object, model: object, method: Method | None, several: object) -> str:
@@ -109,42 +116,55 @@ def fit(
         raise MethodError(said)
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
         return _fit_robot(record, model, method, filtering, known, several, progress)
-    records: list[Any] = [record] if isinstance(record, Record) else [*record] if isinstance(record, Sequence) else []
-    loops = [model] * len(records) if isinstance(model, ClosedLoop) else model if isinstance(model, Sequence) else []
-    by_loop = bool(loops) and isinstance(method, DIDIM | None)
-    asked = any(name not in _SHARED or (any(v) if np.iterable(v) else v) for name, v in (several or {}).items())
-    alike = isinstance(model, Joint) and isinstance(method, IDIM | None) and not asked
-    if isinstance(record, Record) and (several is not None or isinstance(model, Sequence)):
+    if isinstance(record, Sequence):
+        return _fit_records(record, model, method, filtering, known, several or {}, progress)
+    if several is not None or isinstance(model, Sequence):
         raise MethodError("Several loops, and `several`, are of a list of records; received one: give all.")
-    if isinstance(record, Sequence) and not (
-        records and all(isinstance(one, Record) for one in records) and (alike or by_loop)
-    ):
+    read: list[Any] = [] if streamed else [record]
+    if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
+        read = torques_of(read, [model] * len(read), (method or DIDIM()).outputs)
+    if streamed or windows is not None:
+        log: Any = record if streamed else InMemory(read[0])
+        alone = partial(identify_record, method=method, filtering=filtering, progress=progress)
+        found = identify_windows(log, model, known, alone, windows or _LONGEST, progress)
+    else:
+        found = identify_record(read[0], model, method, filtering, known, progress)
+    return state_scale(state_timing(found, read), read)
+
+
+def _fit_records(
+    records: Any,
+    model: Any,
+    method: Method | None,
+    filtering: Filtering,
+    known: Mapping[str, Parameter],
+    several: Mapping[str, Any],
+    progress: Progress,
+) -> Estimate:
+    """Return the fit of a joint to several records, under their loops or by IDIM.
+
+    Raises:
+        RecordError, MethodError: records, model and method do not belong together.
+    """
+    asked = any(name not in _SHARED or (any(v) if np.iterable(v) else v) for name, v in several.items())
+    alike = isinstance(model, Joint) and isinstance(method, IDIM | None) and not asked
+    by_loop = isinstance(model, ClosedLoop | Sequence) and isinstance(method, DIDIM | None)
+    if not (records and all(isinstance(one, Record) for one in records) and (alike or by_loop)):
         raise MethodError(
             "Several records are a list of records, identified by their loop, or by IDIM if they share all parameters: "
             "give a ClosedLoop and DIDIM, or the joint without `several`."
         )
-    own = method if isinstance(method, DIDIM) else DIDIM()
-    read = torques_of(records, loops, own.outputs) if by_loop and len(loops) == len(records) else records
-
-    def alone(loop: ClosedLoop, one: Record, changes: Mapping[str, Parameter]) -> Estimate:
-        return identify_record(one, loop, own, filtering, changes, progress)
-
-    if isinstance(model, ClosedLoop) and (streamed or windows is not None):
-        log: Any = record if streamed else InMemory(read[0])
-        found = identify_windows(log, model, known, alone, windows or _LONGEST, progress)
-    elif isinstance(record, Record):
-        found = identify_record(read[0], model, method, filtering, known, progress)
-    else:
-        marks = [fingerprint(one.torque.values) for one in read if one.torque is not None]
-        if len({*marks}) < len(marks):
-            raise MethodError("Two of the records are the same: name another file.")
-        if by_loop:
-            layout = RecordLayout.of(len(read), model, own.free, several or {})
-            own = replace(own, free=tuple(name for name in layout.free if name != "drive_gain"))
-            found = identify_records(read, layout, known, alone, progress)
-        else:
-            found = identify_record(read[0], model, method, filtering, known, progress, read[1:])
-    return state_scale(state_timing(found, read), read)
+    marks = [fingerprint(one.torque.values) for one in records if one.torque is not None]
+    if len({*marks}) < len(marks):
+        raise MethodError("Two of the records are the same: name another file.")
+    if alike:
+        return identify_record(records[0], model, method, filtering, known, progress, records[1:])
+    own: Any = method or DIDIM()
+    layout = lay_out(len(records), model, own.free, several)
+    own = replace(own, free=tuple(name for name in layout.free if name != GAIN))
+    read = torques_of(records, layout.loops, own.outputs)
+    alone = partial(identify_record, method=own, filtering=filtering, progress=progress)
+    return state_scale(identify_records(read, layout, known, alone, progress), read)
 
 
 def _fit_robot(
@@ -262,3 +282,74 @@ def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None
                 faults += [f"{name}: {said}" for said in range_faults(position, limits)]
     if faults:
         raise RecordError(dict.fromkeys(faults))
+
+
+# The torque that is reproduced
+
+
+def torques_of(records: Sequence[Record], loops: Sequence[ClosedLoop], outputs: Sequence[str]) -> list[Record]:
+    """Return the records with the torque that is reproduced: the logged one, or that of the motor position.
+
+    `outputs` is "torque" or "motor_position", or empty for the torque where it is logged, else the position.
+
+    Raises:
+        RecordError: a record lacks an output that is asked for.
+    """
+    logged = any(record.torque is not None for record in records)
+    if tuple(outputs) == ("torque",) or (not outputs and logged):
+        return list(records)
+    return [compute_controller_torque(record, loop) for record, loop in zip(records, loops, strict=True)]
+
+
+def state_scale(fit: Estimate, records: Sequence[Record]) -> Estimate:
+    """Return a fit of computed torques with a check of what these do not tell; any other fit as it is.
+
+    A fixed parameter other than 0 that is a part of the torque, or a known torque beside the controller's output, tells
+    the factor that controller and joint have in common. The content of an integral at the first sample is unknown, and
+    with it a constant torque: the parameters that include it lose their values.
+    """
+    computed = [
+        (one, one.torque, one.computed_by) for one in records if one.computed_by is not None and one.torque is not None
+    ]
+    if not computed:
+        return fit
+    rows = [row for row in fit.rows if row.of_joint]
+    known = [row.name for row in rows if not row.free and row.value and row.unit.startswith(_OF_TORQUE)]
+    if any(  # large enough beside the controller's output to tell a scale
+        record.injected is not None and np.std(record.injected.channel.values) > _ENOUGH * np.std(torque.values)
+        for record, torque, _ in computed
+    ):
+        known.append("the injected signal")
+    integral = any(law.law(torque.sample_time).integrates for _, torque, law in computed)
+    parts = {row.name: row.name.rpartition(".")[2].removeprefix("motor_").removeprefix("load_") for row in rows}
+    lost = tuple(row.name for row in rows if integral and row.free and parts[row.name] in _CONSTANT)
+    freed = any(not row.of_joint and row.free and row.name == "gain" for row in fit.rows)
+    if freed and not known:
+        raise MethodError(
+            "From positions alone the controller's gain is one with the scale of the joint; expected a known inertia, "
+            "friction or stiffness, or an injected torque: fix one of them, or keep the gain."
+        )
+    checks = (*fit.checks, scale_check(known, lost, identified=freed))
+    read = {*fit.data.channels, "motor_position", *(name for *_, law in computed for name in law.channels)}
+    data = replace(fit.data, channels=tuple(name for name in CHANNELS if name in read - {"torque"}))
+    return replace(fit, checks=checks, data=data)
+
+
+def state_timing(fit: Estimate, records: Sequence[Record]) -> Estimate:
+    """Return a fit of the drive side whose log's delay covers half a sample, where no timing is stated; or as it is.
+
+    Another reading of the torque, held or sampled, changes that delay by half a sample and nothing else. To DIDIM both
+    are one: a controller's output is the same at its stamp and until its next period.
+    """
+    stated = all(one.torque.stated for one in records if one.torque is not None)
+    if stated or fit.settings.method != "drive_side":
+        return fit
+    more = 0.25 * fit.data.sample_time  # half of it in two deviations
+    rows = tuple(
+        replace(row, stderr=float(np.hypot(row.stderr, more))) if row.name == LOG_DELAY.name and row.stderr else row
+        for row in fit.rows
+    )
+    return replace(fit, rows=rows).warn(
+        "it is not stated whether the torque is held or sampled: log_delay, which makes up for the difference, is "
+        "estimated, counts from a held torque, and its interval covers half a sample; state timing of its channel"
+    )

@@ -1,6 +1,6 @@
 """The parameters that a search finds: those of a robot, and those of what surrounds a joint.
 
-What surrounds a joint may be as unknown as the joint itself: its first state, its loop, its drive, its log. A problem
+What surrounds a joint may be as unknown as the joint itself: its first state, its loop, its log. A problem
 keeps these at what the record and the joint file say, unless they are made free (`surrounding`). Each is a `Parameter`
 that stands beside those of the joint:
 
@@ -9,8 +9,6 @@ that stands beside those of the joint:
 - any number of the controller, by its own name: ``position_gain``, ``velocity_gain``, ``derivative_gain``,
   ``delay``, ``limit``, and those of its filters, as ``velocity_filter.time_constant`` or
   ``torque_filters.0.frequency``;
-- ``drive_gain``: the torque that acts, over the torque in the log. One record cannot tell it from the scale of the
-  joint; a known mass can;
 - ``log_gain``: the torque in the log, over the torque the law put out: log and law disagree;
 - ``log_delay``: how much later than its stamps the torque channel shows the torque.
 
@@ -39,7 +37,6 @@ from jointid.models.robots.base_parameters import (
     INERTIAL_ORDER,
     formula_of,
     group_columns,
-    inertial_symbol,
     name_of,
     name_sum,
     standard_symbols,
@@ -48,7 +45,7 @@ from jointid.models.robots.base_parameters import (
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.simulation.derivatives import columns_of
-from jointid.simulation.plant import DELAY, LOAD_STATE, Numbers, Place, law_places
+from jointid.simulation.plant import DELAY, Numbers, Place, law_places
 from jointid.simulation.simulate import MassMotion
 
 INITIAL_STATE = (
@@ -62,12 +59,11 @@ DELAYS = (0.0, 0.003, 0.006, 0.009)
 
 LOG_DELAY = Parameter("log_delay", "d log", Quantity.TIME, free=False, start=0.0)
 
-DRIVE_AND_LOG = {
-    "drive_gain": Parameter("drive_gain", "g", Quantity.RATIO, free=False, start=1.0, lower=1e-3),
+OF_LOG = {
     "log_gain": Parameter("log_gain", "g log", Quantity.RATIO, free=False, start=1.0, lower=1e-3),
     "log_delay": LOG_DELAY,
 }
-"""What lies between the joint's torque and the log's, by name."""
+"""What lies between the torque of a controller and the log's, by name."""
 
 INITIAL_TORQUE = Parameter("initial_torque", "u(0)", Quantity.FORCE)
 """What a controller with an integral puts out at the first sample: what friction and gravity asked for until then."""
@@ -101,7 +97,7 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     """Return the named parameter, free, from its declared value, within the law's bounds.
 
     Args:
-        name: of a part of the first state, the drive, the log, or a number of the controller.
+        name: of a part of the first state, the log, or a number of the controller.
         controller: whose numbers.
         period: of the controller, s; without it frequencies and delays have no upper bound.
 
@@ -110,11 +106,11 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     """
     if name in _INITIAL:
         return _INITIAL[name]
-    if name in DRIVE_AND_LOG:
-        return replace(DRIVE_AND_LOG[name], free=True)
+    if name in OF_LOG:
+        return replace(OF_LOG[name], free=True)
     numbers = numbers_of(controller)
     if name not in numbers:
-        known = ", ".join((*_INITIAL, *DRIVE_AND_LOG, *numbers))
+        known = ", ".join((*_INITIAL, *OF_LOG, *numbers))
         raise MethodError(f'Nothing around this joint is called "{name}"; what can be freed is {known}.')
     value, symbol = numbers[name], name.rpartition(".")[2]
     if not math.isfinite(value):
@@ -152,7 +148,7 @@ def _range(symbol: str, value: float, period: float | None) -> tuple[float, floa
 
 def of_law(name: str) -> bool:
     """Test whether a surrounding parameter belongs to the controller."""
-    return name not in INITIAL and name not in DRIVE_AND_LOG
+    return name not in INITIAL and name not in OF_LOG
 
 
 # The parameters of a robot
@@ -214,12 +210,8 @@ class RobotParameters:
     ) -> FloatArray:
         """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
 
-        Args:
-            robot: its tree, gravity and coupling are read.
-            q: (samples, n) positions of the joints, rad or m.
-            v: (samples, n) their velocities.
-            a: (samples, n) their accelerations.
-            numbers: with the speeds below which frictions rise; those of `base` without it.
+        The joints' positions, velocities and accelerations are (samples, n) each. Speeds below which a friction rises
+        are those of `numbers`, or of `base`.
         """
         numbers, n = numbers or self.base, len(robot)
         moved = np.zeros((3, len(q), numbers.count))
@@ -336,11 +328,6 @@ class RobotParameters:
             grouping=self.grouping[kept],
         )
 
-    def first_state(self, numbers: Numbers) -> RobotParameters:
-        """Return those of the links' first state alone, of a robot with these numbers."""
-        own = [i for i, place in enumerate(self.places) if place.name in LOAD_STATE]
-        return replace(self.select(own), base=numbers)
-
 
 def robot_parameters(
     robot: Robot, *, offsets: bool = True, logarithmic: bool = False, whole: bool = True
@@ -360,24 +347,17 @@ def robot_parameters(
     numbers = Numbers.of(robot)
     places = _order_parameters(numbers, offsets, rising=not whole)
     kept, sums = group_columns(_random_columns(robot, numbers, places))
-    base = numbers.with_values(places, np.zeros(len(places)))
-    logs = [logarithmic and place.name in _SCALED for place in places]
-    parameters = [_name_parameter(place, robot, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
     found = RobotParameters(
-        tuple(parameters[i] for i in kept),
+        (),
         tuple(places[i] for i in kept),
-        np.array([logs[i] for i in kept], dtype=np.bool_),
-        base,
+        np.array([logarithmic and places[i].name in _SCALED for i in kept], dtype=np.bool_),
+        numbers.with_values(places, np.zeros(len(places))),
         tuple(places[i] for i in dropped),
         sums[:, dropped],
     )
-    named = list(found.parameters)
-    for row, (place, weights) in enumerate(zip(found.places, found.of_standard, strict=True)):
-        if (at := standard_index(place, len(robot))) is not None:
-            name, symbol, _ = name_sum(robot, weights, at)
-            named[row] = replace(named[row], name=name, symbol=symbol)
-    found = replace(found, parameters=tuple(named))
+    columns = zip(found.places, found.logarithmic.tolist(), found.of_standard, strict=True)
+    found = replace(found, parameters=tuple(_name_parameter(robot, *one) for one in columns))
     return found.add(*_of_laws(robot, numbers)) if whole else found
 
 
@@ -445,9 +425,7 @@ def standard_index(place: Place, links: int) -> int | None:
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
     """Fix parameters, which then are the last, and tighten the bounds of the others.
 
-    Args:
-        parameters: of a robot.
-        known: by name; the value of a fixed parameter is its start. Unknown names are ignored.
+    Unknown names are ignored; the value of a fixed parameter is its start.
     """
     changed = list[Parameter]()
     for one in parameters.parameters:
@@ -515,15 +493,16 @@ def _random_columns(robot: Robot, numbers: Numbers, places: tuple[Place, ...]) -
     return np.where(sizes > _FELT * np.max(sizes), every, 0.0)
 
 
-def _name_parameter(place: Place, robot: Robot, logarithmic: bool) -> Parameter:
-    """Return the parameter of a place, with the bounds of a joint alone; of a rigid joint's rotor there is a sum."""
+def _name_parameter(robot: Robot, place: Place, logarithmic: bool, weights: FloatArray) -> Parameter:
+    """Return the parameter of a place, with the bounds of a joint alone, or of the sum with these weights, (11 n,)."""
+    at = standard_index(place, len(robot))
+    name, symbol, _ = ("", "", 0) if at is None else name_sum(robot, weights, at)
     if place.of_link:
-        symbol = inertial_symbol(place.name, place.axis)
-        return Parameter(symbol, symbol, Quantity.INERTIA if place.column >= 4 else Quantity.RATIO)
+        return Parameter(name, symbol, Quantity.INERTIA if place.column >= 4 else Quantity.RATIO)
     joint, own = robot.joints[place.axis], place.own
     alone = {p.name: p for p in joint.model.parameters}
     like = alone.get(place.name) or alone[f"{place.name}_forwards"]
-    name = name_of("rotor_inertia", joint.name) if own == "inertia" else name_in_robot(joint.name, place.name)
+    name = name or name_in_robot(joint.name, place.name)
     lower = 0.0 if own == "stribeck_force" else like.lower
     lower = -math.inf if logarithmic or place.name == "inertia" else lower
-    return Parameter(name, symbol_of(name.partition(".")[2], place.axis), like.quantity, lower=lower)
+    return Parameter(name, symbol or symbol_of(name.partition(".")[2], place.axis), like.quantity, lower=lower)

@@ -20,13 +20,14 @@ is searched for by `estimation.robots`.
 """
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.settings import add_settings_to_docstring, declare, setting
+from jointid.common.text import join
 from jointid.estimation.descent import History, Solved, free_more, from_linear_laws, search_rigid_joint
 from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error, widen_for_force
 from jointid.estimation.methods.registry import (
@@ -39,7 +40,6 @@ from jointid.estimation.methods.registry import (
     Method,
     Task,
 )
-from jointid.estimation.outputs import check_outputs
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, require_free, torque_problem
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem, warn_of_limit
@@ -58,6 +58,15 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUGH = 1e-3  # tolerance of a rigid joint that only finds a delay
 _FLEXIBLE = ("flexible",)
+_OUTPUTS = ("torque", "motor_position")
+
+
+def _check_outputs(outputs: Sequence[str]) -> None:
+    if not set(outputs) <= set(_OUTPUTS) or len(outputs) > 1:
+        raise MethodError(
+            f"DIDIM reproduces one output, {' or '.join(_OUTPUTS)}; received {join(list(outputs))}: leave outputs out "
+            "to take the torque where it is logged."
+        )
 
 
 @add_settings_to_docstring
@@ -86,7 +95,7 @@ class DIDIM(Method):
         (),
         'what the simulation reproduces: ["torque"], or ["motor_position"] seen through the controller; without it the '
         "torque where it is logged, else the motor position",
-        accept=check_outputs,
+        accept=_check_outputs,
     )
     offsets: bool = setting(True, OFFSETS, systems=ROBOT)
     evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)

@@ -105,11 +105,8 @@ class ClosedLoopProblem(Simulated):
         return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
 
     def numbers(self, x: FloatArray) -> Numbers:
-        """Return the numbers of a candidate: those of the joint per torque of the log, and what surrounds it."""
-        values = self.values(x)
-        gain = values.get("drive_gain", 1.0)
-        own = {p.name: values[p.name] / gain for p in self.joint.parameters}
-        return Numbers.of_joint(self.joint, values | own)
+        """Return the numbers of a candidate: those of the joint, and of what surrounds it."""
+        return Numbers.of_joint(self.joint, self.values(x))
 
     # Other problems
 
@@ -180,12 +177,7 @@ class ClosedLoopProblem(Simulated):
         return replace(Simulation.of(run), torque=self.log.predict(run)[:, 0])
 
     def torque(self, x: FloatArray, driven: Callable[[AxisInput], AxisInput] | None = None) -> FloatArray:
-        """Return the torque the log should show, raw, (samples,).
-
-        Args:
-            x: free parameters.
-            driven: from what a loop is driven with, to what it might be.
-        """
+        """Return the torque the log should show, raw, (samples,); `driven` changes what drives the loop."""
         log, numbers = self.log, self.numbers(x)
         run = log.run(numbers, keep=False) if driven is None else log.run(numbers, keep=False, driven=driven)
         return np.asarray(log.predict(run)[:, 0])
@@ -213,12 +205,8 @@ def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0, torque
     With integral action, or without position feedback, this is the first reference.
 
     A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
-    that begins beside it may not find it: friction holds the motor where it begins.
-
-    Args:
-        problem: with the record's torque.
-        velocity: of the motor; at rest without it.
-        torque: in the place of the first logged one.
+    that begins beside it may not find it: friction holds the motor where it begins. The torque may be another one than
+    the first of the log.
     """
     axis = problem.axis
     law = axis.feedback

@@ -26,7 +26,7 @@ from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads, threads
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.parameters import DRIVE_AND_LOG, LOG_DELAY, RobotParameters, of_law
+from jointid.estimation.parameters import LOG_DELAY, OF_LOG, RobotParameters, of_law
 from jointid.estimation.parameters import log_delay as delay_of_log
 from jointid.estimation.problems.inverse_model import (
     MeasuredMotion,
@@ -128,11 +128,6 @@ class LoopLog:
         """Approximate positions of the shafts, (samples, n): the references."""
         return self.experiment.references
 
-    @property
-    def integrates(self) -> bool:
-        """True if a torque is computed under an integral."""
-        return any(one is not None and one.axis.law.integrates for one in self.seen)
-
     def roughly(self) -> LoopLog:
         """Return the log simulated in steps twice as long."""
         return replace(self, stride=COARSE)
@@ -176,31 +171,19 @@ class LoopLog:
                     torque[:, j] = seen.torque(position[:, j])[: len(torque)]
         return torque
 
-    def error(self, run: Run) -> FloatArray:
-        """Return measured less predicted torques, (samples, n); of a run that failed, the larger the earlier."""
-        if run.outcome is Outcome.FINISHED:
-            return self.measured - self.predict(run)
-        size = np.sqrt(np.mean(self.measured**2, axis=0))
-        return np.tile(_FAILED * size * (2.0 - run.finished), (len(self.measured), 1))
-
     def columns(self, run: Run, keys: Sequence[Place]) -> list[FloatArray]:
         """Return the derivatives of each joint's predicted torque by parameters, raw, (samples, keys)."""
         if self.tree is not None:
             return differentiate(run, keys)[0]
-        values, seen, own = run.numbers.values[0], self.seen[0] if self.seen else None, names_of(run.numbers.joints[0])
+        values, seen = run.numbers.values[0], self.seen[0] if self.seen else None
         names = [place.name for place in keys]
-        gain, scaled = values.get("drive_gain", 1.0), "drive_gain" in names
-        wanted = [name for name in names if name not in DRIVE_AND_LOG]
-        wanted += [name for name in own if scaled and name not in wanted]
+        wanted = [name for name in names if name not in OF_LOG]
         (slopes,), moved = differentiate(run, [Place(0, name) for name in wanted], positions=seen is not None)
         slopes = slopes if seen is None else seen.slopes(moved[:, 0])
         shown = _show(slopes, values, self.sample_time)
-        if gain == 1.0 and wanted == names:
+        if wanted == names:
             return [shown]
         columns = dict(zip(wanted, shown.T, strict=True))
-        if scaled:  # all of the joint's parameters are measured in the torque that acts
-            columns["drive_gain"] = -sum(values[name] / gain * columns[name] for name in own)
-        columns |= {name: columns[name] / gain for name in own if name in columns}
         raw = self._output(run)
         columns["log_gain"] = _show(raw, {**values, "log_gain": 1.0}, self.sample_time)[:, 0]
         columns["log_delay"] = _show(raw, values, self.sample_time, 1)[:, 0]
@@ -258,7 +241,6 @@ class MotionLog:
     prescribed: PrescribedMotion
     parts: int = PARTS_OF_ROBOT
     motion_measured: ClassVar[bool] = True
-    integrates: ClassVar[bool] = False
 
     @property
     def tree(self) -> Tree | None:
@@ -304,11 +286,6 @@ class MotionLog:
         """Return the torque of a run as the log shows it, (samples, n)."""
         return self._show(run, run.torque)
 
-    def error(self, run: DriveSideRun) -> FloatArray:
-        """Return measured less predicted torques, (samples, n); of a run that failed, something large."""
-        finished = run.outcome is Outcome.FINISHED
-        return self.measured - self.predict(run) if finished else _FAILED * self.measured
-
     def slopes(self, run: DriveSideRun, keys: Sequence[Place]) -> FloatArray:
         """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
         parts = run.columns(keys)
@@ -350,6 +327,11 @@ Log: TypeAlias = LoopLog | MotionLog
 def decimate_each(log: Log, each: Sequence[FloatArray]) -> FloatArray:
     """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
     return np.concatenate(in_threads(lambda j: log.decimate_joint(j, each[j]), range(len(each))))
+
+
+def _error(log: Log, run: Any) -> FloatArray:
+    """Return measured less predicted torques, (samples, n); of a run that failed, something large."""
+    return log.measured - log.predict(run) if run.outcome is Outcome.FINISHED else _FAILED * log.measured
 
 
 def _in_blocks(of: Callable[[Any], FloatArray], keys: Sequence[Place]) -> FloatArray:
@@ -403,16 +385,6 @@ class Simulated:
         return self.logs[0].sample_time
 
     @property
-    def motion_measured(self) -> bool:
-        """True if the motors move as measured; a force in the loop then biases least squares."""
-        return self.logs[0].motion_measured
-
-    @property
-    def integrates(self) -> bool:
-        """True if torques are computed under an integral, whose content hides a constant torque."""
-        return any(log.integrates for log in self.logs)
-
-    @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters, with bounds of what is searched."""
         return self.parameters.free
@@ -460,13 +432,13 @@ class Simulated:
         Where its links are at the first sample is of the record: it is fitted, of any robot alike.
         """
         numbers = numbers.with_record(self.parameters.base, LOAD_STATE)
-        runs, first = self.runs_of(numbers, keep=keep), self.parameters.first_state(numbers)
+        runs, own = self.runs_of(numbers, keep=keep), self.parameters
         if outcome_of(runs) is not Outcome.FINISHED:
             return None
-        if not first.places:
+        if not (states := [i for i, place in enumerate(own.places) if place.name in LOAD_STATE]):
             return runs
-        beginning = replace(self, parameters=first)
-        return beginning.run(solve(beginning, _FIRST_STATE, np.zeros(len(first.places))).x)
+        beginning = replace(self, parameters=replace(own.select(states), base=numbers))
+        return beginning.run(solve(beginning, _FIRST_STATE, np.zeros(len(states))).x)
 
     def left_by(self, numbers: Numbers) -> FloatArray:
         """Return the share of each joint's torque that numbers leave, (n,); infinite if they cannot be simulated."""
@@ -479,7 +451,7 @@ class Simulated:
 
     def error(self, runs: Runs) -> FloatArray:
         """Return the filtered error of the runs, measured less predicted, (rows,), not weighted."""
-        return self._join([log.error(run) for log, run in zip(self.logs, runs, strict=True)])
+        return self._join([_error(log, run) for log, run in zip(self.logs, runs, strict=True)])
 
     def slopes(self, runs: Runs, x: FloatArray) -> FloatArray:
         """Return the derivatives of the runs' filtered torques by what is searched, (rows, free), not weighted."""
@@ -539,7 +511,7 @@ class Simulated:
         numbers, errors, slopes, finished = self.numbers(x), list[FloatArray](), list[FloatArray](), True
         for log in self.logs:
             run: Any = log.run(numbers, room=_ROOM)
-            errors.append(decimate_each(log, list(log.error(run).T)))
+            errors.append(decimate_each(log, list(_error(log, run).T)))
             finished &= run.outcome is Outcome.FINISHED
             slopes += [log.slopes(run, self.keys)] if finished else []
         error = self._rows(errors)
@@ -608,13 +580,10 @@ def pose_robot(
 def loop_log(
     loop: ClosedLoop | RobotLoop, records: Sequence[Record], model: str, filtering: Filtering | None
 ) -> LoopLog:
-    """Return the log of controllers that follow their references.
+    """Return the log of controllers that follow their references, of a joint or of a robot.
 
-    Args:
-        loop: of the joint, or of the robot.
-        records: of each joint, with torque, or with a motor position that shows what its controller puts out.
-        model: "rigid" or "flexible", by which the filter's cut-off is chosen.
-        filtering: of the torques.
+    Records have a torque, or a motor position that shows what the controller puts out. The filter's cut-off is by
+    default that of the model, "rigid" or "flexible".
 
     Raises:
         RecordError: a channel is missing, or the records have not one clock.

@@ -182,7 +182,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / _SHOWN) -> RobotFit:
     weights = problem.weights(error.size)
     influence = Influence(J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size)
     covariance = influence.robust()
-    if problem.motion_measured:
+    if problem.log.motion_measured:
         covariance = influence.widen_for_motion(covariance)
     known = zip(names, covariance.std, strict=True)
     if untold := [n for n, s in known if n.endswith(f".{DELAY}") and not 2.0 * s < DELAYS[-1]]:

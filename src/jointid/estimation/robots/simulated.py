@@ -7,11 +7,9 @@ found.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Progress, ignore_progress
-from jointid.common.parameters import Bounds, Parameter
+from jointid.common.parameters import Parameter
 from jointid.estimation.descent import Solved
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
@@ -23,7 +21,13 @@ from jointid.estimation.parameters import (
 )
 from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.problems.simulated import pose_robot
-from jointid.estimation.result.estimate import Estimate, EstimatedParameter, Settings, build_estimate
+from jointid.estimation.result.estimate import (
+    Estimate,
+    EstimatedParameter,
+    Settings,
+    build_estimate,
+    find_active_bounds,
+)
 from jointid.estimation.robots.didim import RobotFit, SpringVerdict, conclude, search_robot
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
@@ -32,7 +36,6 @@ from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, LOG_DELAY, Numbers, robot_with
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
-_NEAR = 1e-6  # of a value or its deviation: how near to a bound is at it
 _WITHOUT = (
     "no joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
     "excite the modes. How friction and inertia are split between motors and links is not to be used"
@@ -113,7 +116,7 @@ def identify_simulated_robot(
     known: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
 ) -> Estimate:
-    """Identify a robot by DIDIM, or on the drive side; joints with a spring are flexible, all others rigid.
+    """Identify a robot by DIDIM, or on the drive side, and state its parameters beside those of `model`.
 
     Args:
         model: the robot under its controllers, or along the motion of its motors, with its nominal numbers.
@@ -146,10 +149,13 @@ def identify_simulated_robot(
         stop = f"did not settle {steps}: allow more by method.evaluations, or record longer and livelier motions"
     kind = "of springs, rotors and links" if fit.springs else "of rigid joints"
     nominal, late = parameters.group(Numbers.of(robot)), numbers.values[0].get(LOG_DELAY)
+    held = find_active_bounds(parameters.free, fit.values[: len(fit.x)], fit.problem.error(fit.runs), fit.slopes)
+    verdicts = {p.name for p, scaled in zip(parameters.parameters, parameters.logarithmic, strict=True) if scaled}
+    held = {name: bound for name, bound in held.items() if name not in verdicts}
     hidden, std = [one for one in fit.springs if not one.shown], fit.covariance.append_constants(fixed).std
     result = build_estimate(
         [record for log in logs for record in log],
-        rows_of_robot(part, std, nominal, _held_by_bounds(fit), hidden),
+        rows_of_robot(part, std, nominal, held, hidden),
         fit.covariance.correlation,
         (problem.measured, problem.predict(fit.runs)),
         fit.relative_error,
@@ -172,16 +178,6 @@ def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray
     return with_delays(loop, {place.axis: float(x) for place, x in found if place.name == DELAY})
 
 
-def _held_by_bounds(fit: RobotFit) -> dict[str, float]:
-    """Return the bounds of the parameters that they hold, by name; of springs there are verdicts."""
-    free = fit.parameters.free
-    bounds, x = Bounds.of(free), fit.values[: len(free)]
-    near = _NEAR * np.maximum(np.abs(x), fit.covariance.std)
-    held = ((x <= bounds.lower + near) | (x >= bounds.upper - near)) & ~fit.parameters.logarithmic[: len(free)]
-    pairs = zip(free, x, held, strict=True)
-    return {p.name: min(p.lower, p.upper, key=lambda b: abs(value - b)) for p, value, at in pairs if at}
-
-
 def rows_of_robot(
     part: IdentifiedRobot,
     std: FloatArray,
@@ -189,14 +185,9 @@ def rows_of_robot(
     held: Mapping[str, float],
     hidden: Sequence[SpringVerdict] = (),
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the rows of the parameters; of a spring that is not shown, a bound at most.
+    """Return the rows of the parameters; of a spring that is hidden, a bound at most.
 
-    Args:
-        part: the robot that was identified.
-        std: (parameters,) standard deviations.
-        nominal: (parameters,) values of the nominal robot.
-        held: bounds of those at one, by name.
-        hidden: springs that are not shown.
+    Standard deviations and nominal values are (parameters,) each; `held` has the bounds of those at one, by name.
     """
     refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
     refused |= {f"{one.joint}.damping": None for one in hidden}

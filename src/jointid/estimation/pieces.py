@@ -1,0 +1,782 @@
+"""One joint from several pieces of data: records that are stacked in memory, or windows of a long log that are summed.
+
+**Several records.** Each is identified by itself, which gives the start, and what the record says alone. Least squares
+over the rows of all follows, those of a record divided by the level of its residual, so that it counts for what it is
+worth.
+
+Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
+the motion (`position_dependent_error`). Where the records disagree by more than their intervals allow, the answer says
+so and widens what they share (`result.agreement`). What moves a record's own solution, beside noise
+(`uncertainty_of_least_error`), moves the common one as far as the record weighs in it, and widens that.
+
+A parameter of a record is one that all share, or that plus a number that is known, or its own, called ``name@number``
+with the number of the record, from 1. The motor's first state is always a record's own; so is a number of the
+controller that the records declare differently.
+
+**Windows of a long log.** An ordinary identification of one window gives the start. A pass reads every window once and
+keeps of each what `Sums` holds, so that time grows with the length of the record, and memory by a kilobyte for each
+window.
+
+A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
+logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
+is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice the settling
+time, so that the rows that count follow each other without a gap.
+
+Noise that is averaged over a day leaves next to nothing, and what the model lacks stays. What every visit to a place
+errs alike no longer record averages away: sums are kept of each place, too. The deviations are the larger, in every
+direction, of what leaving out windows says and what leaving out places says (`uncertainty.resampling`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.messages import Detail, Progress, follow
+from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.text import join
+from jointid.estimation.parameters import INITIAL, adjust_parameters, of_law
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
+from jointid.estimation.result.agreement import Alone, Window, compare_records, drift
+from jointid.estimation.result.estimate import (
+    Estimate,
+    Windows,
+    build_estimate,
+    build_rows,
+    find_active_bounds,
+    rows_of_problem,
+    warn_of_limit,
+)
+from jointid.models.controllers import REFERENCE
+from jointid.models.joints import ClosedLoop, Joint
+from jointid.records.chunks import LongRecord
+from jointid.records.record import Record
+from jointid.records.resampling import period_ratio
+from jointid.simulation.controller_torque import seen_position
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.simulate import Outcome
+from jointid.solvers.solve import LevenbergMarquardt, Solution, Step, damped_step, solve
+from jointid.uncertainty.covariance import Covariance, Influence, larger
+from jointid.uncertainty.identifiability import find_separable, identifiability
+from jointid.uncertainty.position_dependent_error import cells, uncertainty
+from jointid.uncertainty.resampling import Sums, left_out, rows_of, total
+
+FitRecord: TypeAlias = Callable[..., Estimate]
+"""From a record, its loop and ``parameters``, which are changes to those, to the estimate of the record by itself."""
+
+# Several records
+
+GAIN = "drive_gain"  # the torque that acts, over the torque in the log; one record cannot tell it
+_QUIETEST = 1e-6  # of the largest torque: no record's residual is taken for smaller
+_ROUNDED = 1e-8  # of a value
+_STACKED = 1e-4  # of the noise of a row, squared: a step that promises less moves no parameter by a hundredth deviation
+_NO_ERROR = 1e-3  # of the level: a residual that is as good as none
+_TURNS = 4  # searches with new levels of the residuals, at most
+_STEADY = 0.01  # a change of the levels that asks for no other
+
+
+class Layout(NamedTuple):
+    """How several records belong together, one entry for each.
+
+    Attributes:
+        loops: the joint, of one model, under the controller of each.
+        added: inertia that is known to come on top of the joint's, kg or kg m2.
+        own: names of the parameters that the others do not share.
+        free: names of what surrounds the joint and is identified too.
+    """
+
+    loops: tuple[ClosedLoop, ...]
+    added: tuple[float, ...]
+    own: tuple[Sequence[str], ...]
+    free: tuple[str, ...] = ()
+
+    @property
+    def scales(self) -> bool:
+        """True if the gain of the drive is free: a record by itself has parameters per torque of its log."""
+        return GAIN in self.free
+
+    def changes(self, known: Mapping[str, Parameter], number: int) -> Mapping[str, Parameter]:
+        """Return the changes to the parameters of one record by itself: what was added is in start and bounds.
+
+        Where the gain of the drive is not known, these are per torque of its log, and no bound can be moved.
+        """
+        own, more = _inertia(self.loops[0].joint), self.added[number]
+        if not more:
+            return known
+        given, room = known.get(own.name, own), 0.0 if self.scales else more
+        start = None if given.start is None else given.start + more
+        return {**known, own.name: replace(given, start=start, lower=given.lower + room, upper=given.upper + room)}
+
+
+def lay_out(
+    count: int, loops: ClosedLoop | Sequence[ClosedLoop], free: Sequence[str], several: Mapping[str, Any]
+) -> Layout:
+    """Return how so many records belong together, by what `jointid.identify` has as `several`.
+
+    Raises:
+        MethodError: a list is not as long as the records; an added inertia is impossible; the joints are not of one
+            model; or a name of `own` is not one of its parameters.
+    """
+    asked: dict[str, Any] = {"added_inertia": [0.0] * count, "own": [()] * count, "free": ()}
+    names = {*asked}
+    asked |= {key: value for key, value in several.items() if value is not None}
+    each: Any = [loops] * count if isinstance(loops, ClosedLoop) else loops
+    listed: list[Any] = [each, asked["added_inertia"], asked["own"]]
+    long = all(hasattr(one, "__len__") and len(one) == count for one in listed)
+    lists = [asked["free"], *asked["own"], *asked["added_inertia"]] if long else []
+    if count < 2 or asked.keys() != names or not long or any(isinstance(one, str) for one in lists):
+        raise MethodError(
+            "Several records are two or more, with one loop for all or one for each, and `several` has an "
+            "added_inertia and an own, a list of names, for each of them, and free, a list of names; received "
+            f"{count} records and {dict(several)!r}: correct it."
+        )
+    found = Layout(
+        tuple(each),
+        tuple(map(float, asked["added_inertia"])),
+        tuple(asked["own"]),
+        tuple(dict.fromkeys((*asked["free"], *free))),
+    )
+    if not all(math.isfinite(more) and more >= 0.0 for more in found.added):
+        raise MethodError(f"An added inertia is 0 or more; received {found.added}: subtract the smallest from all.")
+    joint = found.loops[0].joint
+    if joint.torque_unit and any(found.added) and not found.scales:
+        raise MethodError(
+            f"An added inertia is in SI units, but the joint's are per {joint.torque_unit}; free drive_gain, which "
+            "the added inertia tells, or give the torque in SI units."
+        )
+    known = {p.name for p in joint.parameters} | {*found.free} - {GAIN}
+    pairs = [(known - {_inertia(joint).name} if more else known, mine) for more, mine in zip(*found[1:3], strict=True)]
+    wrong = [name for may, mine in pairs for name in mine if name not in may]
+    if wrong or len({(loop.joint.kind, *(p.name for p in loop.joint.parameters)) for loop in each}) > 1:
+        raise MethodError(
+            "Records that are fitted together have one model of joint, and their own are parameters that are free "
+            f"and have nothing added; received {join(wrong) or 'several models'}: correct it."
+        )
+    return found
+
+
+def _inertia(joint: Joint) -> Parameter:
+    """Return the inertia that another is added to: that of the load."""
+    return next(p for p in reversed(joint.parameters) if p.quantity is Quantity.INERTIA)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Records:
+    """The torques of several records against one joint: a problem of `solvers.solve`.
+
+    A record has its own parameters per torque of its log: those of all and what is known, over the gain of the drive.
+
+    Attributes:
+        problems: one for each record.
+        parameters: in the order of the table, fixed ones too.
+        free: those that are identified: first those that are shared, then those of each record.
+        labels: for each record, the names of those that its own are, (its free,); empty where one is known.
+        known: for each record, the value of such a one, and what is known to come on top of the others, (its free,).
+        sigma: (records,) levels of the residuals, by which their rows are divided.
+        last: the rows of the last candidate, not divided.
+    """
+
+    problems: tuple[ClosedLoopProblem, ...]
+    parameters: tuple[Parameter, ...]
+    free: tuple[Parameter, ...]
+    labels: tuple[Sequence[str], ...]
+    known: tuple[FloatArray, ...]
+    sigma: FloatArray
+    last: dict[bytes, list[tuple[FloatArray, FloatArray]]] = field(default_factory=dict)
+
+    @property
+    def of_gain(self) -> list[int]:
+        """The place of the drive's gain among the free parameters; none where it is not free."""
+        return [i for i, p in enumerate(self.free) if p.name == GAIN]
+
+    def gain(self, x: FloatArray) -> float:
+        """Return the gain of the drive, 1 where it is not free."""
+        return float(np.prod(x[self.of_gain]))
+
+    @property
+    def maps(self) -> list[FloatArray]:
+        """For each record, 1 where one of its parameters is one of the free ones, (its free, free)."""
+        return [np.array([[float(p.name == label) for p in self.free] for label in own]) for own in self.labels]
+
+    def join(self, found: Sequence[FloatArray], gain: float) -> FloatArray:
+        """Return the parameters that the records' own come from: means of those that are shared, within bounds."""
+        total, count = np.zeros(len(self.free)), np.zeros(len(self.free))
+        total[self.of_gain], count[self.of_gain] = gain, 1.0
+        for problem, among, known, own in zip(self.problems, self.maps, self.known, found, strict=True):
+            total += among.T @ (own * _scale(problem, gain) - known)
+            count += among.sum(axis=0)
+        return Bounds.of(self.free).clip(total / count)
+
+    def split(self, x: FloatArray) -> list[FloatArray]:
+        """Return the parameters of each record, (its free,), from those of all."""
+        each, gain = zip(self.problems, self.maps, self.known, strict=True), self.gain(x)
+        return [(among @ x + known) / _scale(problem, gain) for problem, among, known in each]
+
+    def rows(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return the residual of each record, (rows,), and its derivatives by all parameters, (rows, free)."""
+        if (key := x.tobytes()) not in self.last:
+            self.last.clear()
+            self.last[key], gain = [], self.gain(x)
+            for problem, among, own in zip(self.problems, self.maps, self.split(x), strict=True):
+                error, slopes = problem.linearise(own)
+                J, joint = slopes / _scale(problem, gain) @ among, len(problem.free_joint)
+                J[:, self.of_gain] = -(slopes[:, :joint] @ own[:joint] / gain)[:, np.newaxis]
+                self.last[key].append((error, J))
+        return self.last[key]
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted residual, (rows,), and its derivatives, (rows, free)."""
+        pairs = list(zip(self.rows(x), self.sigma, strict=True))
+        return np.concatenate([e / s for (e, _), s in pairs]), np.concatenate([J / s for (_, J), s in pairs])
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the weighted residual, (rows,)."""
+        return self.linearise(x)[0]
+
+    def weigh(self, x: FloatArray) -> Records:
+        """Return the problem weighted by the levels of the residuals at a candidate."""
+        least = _QUIETEST * max(problem.size for problem in self.problems)
+        levels = [max(float(np.linalg.norm(error)), least) / math.sqrt(error.size) for error, _ in self.rows(x)]
+        return replace(self, sigma=np.array(levels))
+
+
+def share_parameters(problems: Sequence[ClosedLoopProblem], layout: Layout, known: Mapping[str, Parameter]) -> Records:
+    """Return the problem of several records, with changes to the parameters of their joint."""
+    joint, labels, found, free = problems[0].joint, list[list[str]](), list[FloatArray](), dict[str, Parameter]()
+    stated, inertia = {p.name: p for p in adjust_parameters(joint.parameters, known)}, _inertia(joint).name
+    if layout.scales:  # one that is known is per torque of the log, too
+        every = {p.name: replace(p, free=True) for p in joint.parameters}
+        problems = [one.replace_parameters(every) for one in problems]
+    for k, (problem, mine, more) in enumerate(
+        zip(problems, _apart(problems, layout.own), layout.added, strict=True), 1
+    ):
+        each = [stated.get(p.name, p) for p in problem.free]
+        ends = [f"@{k}" if p.name in mine else "" for p in each]
+        labels.append([p.name + end if p.free else "" for p, end in zip(each, ends, strict=True)])
+        found.append(np.array([more * (p.name == inertia) + (0.0 if p.free else p.start or 0.0) for p in each]))
+        for p, end, label in zip(each, ends, labels[-1], strict=True):
+            if label:
+                free.setdefault(label, replace(p, name=label, symbol=p.symbol + end))
+    if layout.scales:
+        free[GAIN] = Parameter(GAIN, "g", Quantity.RATIO, start=1.0, lower=1e-3)
+    order = sorted(free, key=lambda name: int(name.partition("@")[2] or 0))  # what is shared comes first
+    shared = {
+        p.name: free.get(p.name) or p.fix(p.start or 0.0)
+        for p in (stated.get(p.name, p) for p in problems[0].parameters)
+        if p.name in free or not (p.free or p.name in INITIAL)
+    }
+    free = {name: free[name] for name in order}
+    parameters, ones = tuple((shared | free).values()), np.ones(len(problems))
+    return Records(tuple(problems), parameters, tuple(free.values()), tuple(labels), tuple(found), ones)
+
+
+def _scale(problem: ClosedLoopProblem, gain: float) -> FloatArray:
+    """Return the gain for parameters of the joint, which come first, and 1 for what surrounds it, (free,)."""
+    return np.where(np.arange(len(problem.free)) < len(problem.free_joint), gain, 1.0)
+
+
+def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) -> list[set[str]]:
+    """Return, for each record, the names of its free parameters that it shares with no other."""
+    around = {(p.name, p.start) for one in problems for p in one.free if p in one.around and of_law(p.name)}
+    differing = {name for name, starts in Counter(name for name, _ in around).items() if starts > 1}
+    apart = [{*mine, *INITIAL, *differing} for mine in own]
+    pairs = zip(problems, apart, strict=True)
+    shared = Counter(p.name for one, mine in pairs for p in one.free if p.name not in mine)
+    return [mine | {name for name, records in shared.items() if records == 1} for mine in apart]
+
+
+def identify_records(
+    records: Sequence[Record],
+    layout: Layout,
+    known: Mapping[str, Parameter],
+    fit: FitRecord,
+    progress: Progress,
+) -> Estimate:
+    """Return the fit of one joint to several records in one fit; see `jointid.identify`.
+
+    Raises:
+        MethodError: no record tells a parameter, or nothing tells the drive's gain.
+    """
+    fits = list[Estimate]()
+    for k, (record, loop) in enumerate(zip(records, layout.loops, strict=True)):
+        progress(f"record {k + 1}, {record.name}, by itself")
+        fits.append(fit(record, loop, parameters=layout.changes(known, k)))
+    problems, gain = [_solved(one)[0] for one in fits], 1.0
+    told = [{row.name: row.value for row in one.rows if row.value is not None} for one in fits]
+    starts = fill_starts(told, [p.name for p in problems[0].parameters])
+    together = share_parameters(problems, layout, known)
+    if layout.scales and any(layout.added):  # the slope of what is added over the inertias that were found
+        change = np.array([start[_inertia(problems[0].joint).name] for start in starts])
+        change -= change.mean()
+        slope = float(change @ layout.added) / (float(change @ change) or 1.0)
+        gain = slope if slope > 0 else 1.0
+    progress(f"{len(records)} records together, {len(together.free)} parameters")
+    own = [one.vector(start) for one, start in zip(together.problems, starts, strict=True)]
+    solution, together, made = _search(together, together.join(own, gain))
+    progress(Detail(solution.message))
+    return _judge(together, layout, solution, records, fits, made)
+
+
+def _search(together: Records, x: FloatArray) -> tuple[Solution, Records, int]:
+    """Return the solution from a start, (free,), the problem as it is weighted there, and the evaluations of it."""
+    together, made = together.weigh(x), 1
+    J = together.linearise(x)[1]
+    if not all(find_separable(J)[together.of_gain]):
+        raise MethodError(
+            "The drive's gain cannot be distinguished from the scale of the joint's parameters, because no two records "
+            "differ by a known inertia; give the inertia added to the load in one of them, or keep the gain fixed."
+        )
+    solver = LevenbergMarquardt(worth=_STACKED / len(J), enough=_NO_ERROR * math.sqrt(len(J)))
+    for _ in range(_TURNS):
+        solution = solve(together, solver, x)
+        x, made = solution.x, made + solution.evaluations
+        weighed = together.weigh(x)
+        if np.all(np.abs(np.log(weighed.sigma / together.sigma)) < _STEADY):
+            break
+        together = weighed
+    return solution, together, made * len(together.problems)
+
+
+def _solved(fit: Estimate) -> tuple[ClosedLoopProblem, FloatArray]:
+    assert fit.problem is not None and fit.x is not None
+    return fit.problem, fit.x
+
+
+def fill_starts(each: Sequence[Mapping[str, float]], names: Sequence[str]) -> list[dict[str, float]]:
+    """Return the values each record starts from, by name; one that it does not tell is another record's.
+
+    Raises:
+        MethodError: no record tells one of these names.
+    """
+    anywhere = {name: value for values in reversed(each) for name, value in values.items()}
+    if lost := [name for name in names if name not in anywhere]:
+        raise MethodError(
+            f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "
+            "identify the joint as rigid, or record a motion that shows it."
+        )
+    return [{**anywhere, **values} for values in each]
+
+
+def _judge(
+    together: Records,
+    layout: Layout,
+    solution: Solution,
+    records: Sequence[Record],
+    fits: Sequence[Estimate],
+    made: int,
+) -> Estimate:
+    """Return the fit of all records, with what each says alone; `made` evaluations led to the solution."""
+    x, names, problems = solution.x, [p.name for p in together.free], together.problems
+    joint, gain, count = problems[0].joint, together.gain(x), [problem.kept.size for problem in problems]
+    values = {p.name: float(p.start or 0.0) for p in together.parameters} | dict(zip(names, map(float, x), strict=True))
+    runs = [problem.simulate(own) for problem, own in zip(problems, together.split(x), strict=True)]
+    shown = [(run.motor_position[p.kept], run.motor_velocity[p.kept]) for p, run in zip(problems, runs, strict=True)]
+    influence = Influence(solution.jacobian, solution.residual, series=count)
+    found = uncertainty(influence, cells(*map(np.concatenate, zip(*shown, strict=True))))
+    found = found.widened_by(_moved(together, influence, fits, gain))
+    left = [p.filtered_error(error) for p, (error, _) in zip(problems, together.rows(x), strict=True)]
+    alone = [
+        replace(_describe_alone(fit, together, k, gain), name=records[k].name, filtered_error=left[k])
+        for k, fit in enumerate(fits)
+    ]
+    acting = replace(joint, torque_unit=None) if layout.scales else joint
+    units = {p.name: acting.unit(p) for p in together.parameters}
+    if GAIN in units and joint.torque_unit:
+        units[GAIN] = f"{acting.force_unit}/{joint.torque_unit}"
+    # The inertia that tells the gain is not compared.
+    tells = _inertia(joint).name if layout.scales and any(layout.added) else ""
+    compared = compare_records(alone, {name: unit for name, unit in units.items() if name != tells})
+    covariance = compared.widen(found.covariance, names)
+    std = dict(zip(names, map(float, covariance.std), strict=True))
+    held = find_active_bounds(together.free, x, solution.residual, solution.jacobian)
+    loop = problems[0].loop_at(together.split(x)[0])
+    repeats = [str(found.repeatable)] if found.repeatable.significant else []
+    said = [f"record {k}: {one}" for k, fit in enumerate(fits, 1) for one in fit.warnings]
+    sizes = np.array([problem.size for problem in problems])
+    own = {p.name for p in joint.parameters}
+    rows = build_rows(together.parameters, values, std, lambda p: units[p.name], own, held)
+    order = [names.index(row.name) for row in rows if row.free]
+    made_of = build_estimate(
+        records,
+        rows,
+        covariance.correlation[np.ix_(order, order)],
+        (np.concatenate([p.measured for p in problems]), np.concatenate([run.torque for run in runs])),
+        float(np.linalg.norm(left * sizes) / np.linalg.norm(sizes)),
+        sum(count),
+        (solution.message, solution.converged),
+        sum(fit.fit.simulations for fit in fits) + made + 2 * len(runs),
+        replace(fits[0].settings, loop=loop, delay=loop.controller.law(problems[0].sample_time).delay),
+        [name for one in layout.loops for name in one.channels],
+        agreement=compared,
+        warnings=(*map(str, found.warnings), *repeats, *said),
+    )
+    return replace(made_of, data=replace(made_of.data, torque_unit=acting.force_unit))
+
+
+def _moved(together: Records, influence: Influence, fits: Sequence[Estimate], gain: float) -> FloatArray:
+    """Return by how much the common solution moves, (free,), where what is no noise moves those of the records."""
+    moved, first = np.zeros(len(together.free)), 0
+    for problem, among, fit in zip(together.problems, together.maps, fits, strict=True):
+        rows = slice(first, first := first + problem.kept.size)
+        answer = influence.matrix[:, rows] @ influence.J[rows] @ among.T * _scale(problem, gain)
+        each = [dict(zip((p.name for p in _solved(fit)[0].free), shift, strict=True)) for shift in fit.shifts]
+        squares = [(answer @ [by.get(p.name, 0.0) for p in problem.free]) ** 2 for by in each]
+        moved += np.sqrt(np.sum(squares, axis=0))  # records may err alike
+    return moved
+
+
+def _describe_alone(fit: Estimate, together: Records, number: int, gain: float) -> Alone:
+    """Return the fit of one record, numbered from 0, in terms of the acting torque."""
+    (problem, x), known = _solved(fit), fit.parameters
+    separable = dict(zip(fit.free, find_separable(problem.linearise(x)[1]), strict=True))
+    names, values, std = list[str](), dict[str, float](), list[float]()
+    shared = zip(together.problems[number].free, together.labels[number], together.known[number], strict=True)
+    for p, label, more in shared:
+        row = known.get(p.name)
+        if row is None or row.value is None or not row.stderr or row.at_bound is not None or not separable[p.name]:
+            continue
+        scale = gain if row.of_joint else 1.0
+        names.append(p.name)
+        values[label] = scale * row.value - float(more)
+        # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
+        std.append(max(scale * row.stderr, _ROUNDED * abs(scale * row.value)))
+    return Alone(values, Covariance(np.array(std), fit.covariance_of(names).correlation))
+
+
+# Windows of a long log
+
+_FORGOTTEN = 0.01  # of how far a beginning is off: what is left of it is forgotten
+_RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
+_PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
+_AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
+_RESTING = 0.02  # of the largest speed: below it a row has no direction
+_STARTS = 5  # windows that are tried to start from
+_TRAVEL = 0.5  # of the most that one of them moves: those with less are tried last
+_PASSES = 12  # at most
+_SUMMED = 0.1  # of the noise of a row, squared: a step that promises less moves no parameter by a third of a deviation
+_ROUNDING = 1e-6  # of the torque: a residual as good as none
+
+NO_MOTION = "In no window of this record does the axis move; give another record."
+
+Places: TypeAlias = Callable[[FloatArray, FloatArray], NDArray[np.intp]]
+"""From positions and velocities, (rows,) each, to the number of each row's stretch of the travel, (rows,)."""
+
+
+def places_of(position: FloatArray, velocity: FloatArray) -> Places:
+    """Return stretches of the travel, by direction and class of speed, of the motion in one window, (samples,) each."""
+    speeds = cells(position, velocity).speeds
+    origin, width = float(position.min()), (float(np.ptp(position)) or 1.0) / _PLACES
+    resting = _RESTING * float(np.max(np.abs(velocity)))
+
+    def label(position: FloatArray, velocity: FloatArray) -> NDArray[np.intp]:
+        moving = np.abs(velocity) > resting
+        kind = np.argmin(np.abs(np.abs(velocity)[:, np.newaxis] - speeds), axis=1)
+        family = np.where(moving, np.sign(velocity), 0.0).astype(np.intp) + 1
+        place = np.floor((position - origin) / width).astype(np.intp) % _AROUND
+        return np.asarray((family * speeds.size + np.where(moving, kind, 0)) * _AROUND + place, dtype=np.intp)
+
+    return label
+
+
+def travel(record: Record) -> float:
+    """Return how far the axis is asked to move in a window, or what is injected varies, in sum."""
+    asked = record.motor_position if record.reference is None else record.reference
+    asked = asked if record.injected is None else record.injected.channel
+    return 0.0 if asked is None else float(np.sum(np.abs(np.diff(asked.values))))
+
+
+def moves(record: Record) -> bool:
+    """Test whether a window has a motion or something injected, and no brake that holds the joint at a torque of 0."""
+    braked = record.torque is not None and not np.any(record.torque.values)
+    return not braked and (travel(record) > 0 or record.injected is not None)
+
+
+def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
+    """Return the problem of a window that is like another one's, with its own state at the first sample.
+
+    That may be wrong on purpose, `disturbed` by a share of the window's torque and speed.
+    """
+    assert record.torque is not None
+    experiment = prepare(like.loop, record)
+    measured = record.torque.values[: experiment.clock.samples]
+    problem = like.with_log(measured=measured[:, np.newaxis], experiment=experiment, seen=(None,))
+    # What an integral holds is one constant along the log, and no window's own.
+    seen = None if experiment.axis.law.integrates else seen_position(record, like.loop)
+    torque = float(problem.filter(measured)[0])  # a single sample has all of the noise
+    inputs, period = experiment.axis.inputs, experiment.axis.law.period
+    velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
+    torque += disturbed * float(np.std(measured))
+    velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
+    position = beginning_position(problem, velocity, torque)
+    if seen is not None and record.motor_position is not None:
+        shown = seen.torque(record.motor_position.values)[: experiment.clock.samples]
+        problem = problem.with_log(seen=(seen,), measured=shown[:, np.newaxis])
+    return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
+
+
+def settling(like: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
+    """Return how many samples a window takes to forget how it began.
+
+    A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample of
+    the torque by more than a hundredth; the filter looks at what lies beside a window.
+    """
+    other = begin_window(like, record, disturbed=1.0)
+    apart = np.abs(like.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(like.measured))
+    remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
+    assert like.filtering.cutoff is not None
+    return remembers + math.ceil(_RINGS / (like.filtering.cutoff * like.sample_time))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pass:
+    """Sums of one pass over the windows.
+
+    Attributes:
+        windows: in the order of time. places: over all of them, by the place's number.
+        still: windows in which nothing was asked of the axis, and which are left out.
+        stopped: what stopped the simulation of a window, in a sentence; empty where none was.
+    """
+
+    windows: tuple[Window, ...]
+    places: Mapping[int, Sums]
+    still: int
+    stopped: str
+
+    @property
+    def sums(self) -> Sums:
+        """Over all windows."""
+        return total([w.sums for w in self.windows])
+
+    def shift(self, step: FloatArray) -> Pass:
+        """Return the pass after a small step of the parameters, to first order."""
+        windows = tuple(replace(w, sums=w.sums.shift(step)) for w in self.windows)
+        return replace(self, windows=windows, places={at: sums.shift(step) for at, sums in self.places.items()})
+
+    def covariance(self) -> Covariance:
+        """Return the covariance of the estimate: the larger of leaving out windows, and of leaving out places.
+
+        Raises:
+            MethodError: one window says nothing of how windows differ.
+        """
+        if len(self.windows) < 2:
+            raise MethodError(
+                "A long record has two windows or more, in which the axis moves; this one has "
+                f"{len(self.windows)}: give a shorter window, or leave windows out."
+            )
+        found = left_out([w.sums for w in self.windows])
+        return larger(found, left_out([*self.places.values()])) if len(self.places) > 1 else found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowsOfLog:
+    """The windows of a log against the loop of a joint: a problem of `solvers.solve`, of as few rows as there can be.
+
+    Attributes:
+        like: the problem of the window that the search starts from.
+        log: that is read.
+        places: that repeat.
+        length: samples that count in a window.
+        settling: samples at either end of a window that are simulated and not counted.
+        progress: receives the progress of a pass.
+        passes: that were made, by their candidates.
+    """
+
+    like: ClosedLoopProblem
+    log: LongRecord
+    places: Places
+    length: int
+    settling: int
+    progress: Progress
+    passes: dict[bytes, Pass] = field(default_factory=dict)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are identified."""
+        return self.like.free
+
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return rows with the sums of all windows: residual, (rows,), and derivatives, (rows, free)."""
+        return rows_of(self.pass_over(x).sums)
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the residual of these rows, (rows,)."""
+        return self.linearise(x)[0]
+
+    def pass_over(self, x: FloatArray) -> Pass:
+        """Return the sums at a candidate, from a pass over all windows.
+
+        Raises:
+            MethodError: in no window does the axis move.
+        """
+        if (key := x.tobytes()) in self.passes:
+            return self.passes[key]
+        windows, places, still, stopped = list[Window](), dict[int, Sums](), 0, ""
+        chunks = self.log.chunks(self.length, 2 * self.settling)
+        for chunk in follow(chunks, self.progress, "passing over the log", math.inf, "windows"):
+            record = chunk.record
+            if not moves(record):
+                still += 1
+                continue
+            try:
+                problem = begin_window(self.like, record)
+                runs = problem.run(x)
+                error, measured = problem.error(runs), problem.filtered_torque
+            except RecordError:
+                if not (chunk.number and chunk.last):  # a last one may be too short for filters
+                    raise
+                continue
+            at, size = problem.kept, problem.measured.size
+            counted = (at >= self.settling) & (at < size - self.settling)
+            if not counted.any():
+                continue
+            if runs[0].outcome is Outcome.FINISHED:
+                J = -problem.slopes(runs, x)
+            else:  # its error is large in all of its rows, so that the search turns away
+                J = np.zeros((error.size, x.size))
+                stopped = f"the window that begins at {record.begin:.0f} s cannot be simulated, {runs[0].outcome.value}"
+            at, keep = at[counted], problem.filtering.decimation or 1
+            rows = error[counted], J[counted], measured[counted]
+            label = self.places(*(one[at] for one in _commanded(problem)))
+            for place in map(int, np.unique(label)):
+                sums = Sums.of(*(one[label == place] for one in rows))
+                places[place] = places[place] + sums if place in places else sums
+            begin, end = (record.begin + one * problem.sample_time for one in (at[0], at[-1] + keep))
+            windows.append(Window(begin, end, Sums.of(*rows), runs[0].at_limit))
+        if not windows:
+            raise MethodError(NO_MOTION)
+        self.passes[key] = Pass(tuple(windows), places, still, stopped)
+        return self.passes[key]
+
+
+def _commanded(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
+    """Return the reference of a window and its velocity, (samples,) each."""
+    axis, clock = problem.axis, problem.log.experiment.clock
+    position = axis.inputs[clock.log_index // clock.lengths.size, REFERENCE]
+    return position, np.gradient(position, problem.sample_time)
+
+
+def identify_windows(
+    log: LongRecord,
+    model: ClosedLoop,
+    known: Mapping[str, Parameter],
+    fit: FitRecord,
+    window: float,
+    progress: Progress,
+) -> Estimate:
+    """Return the estimate of a joint from a long log in windows of so many seconds; see `jointid.identify`.
+
+    Raises:
+        RecordError, MethodError: no window by itself identifies the joint, or one cannot be simulated.
+    """
+    sample_time = log.sample_time
+    # Whole rows, so that all windows keep the same samples, and whole periods of a controller that is slower than the
+    # log: the law's first is at a window's first sample.
+    period, _ = period_ratio(model.controller.law(sample_time).period, sample_time, "the log")
+
+    def samples(seconds: float, unit: int) -> int:
+        return unit * math.ceil(seconds / (sample_time * unit) - 1e-9)
+
+    first = (samples(window, period), 2 * samples(window / 20, period))
+    began = _start(log, first, model, known, fit, progress)
+    (record,), (begun, x) = began.records, _solved(began)
+    like = begin_window(begun, record)
+    x = like.vector(begun.values(x))
+    keep, needed = like.filtering.decimation or 1, settling(like, record, x)
+    length, needed = samples(window, math.lcm(keep, period)), keep * -(-needed // keep)
+    settled = min(needed, length // (2 * keep) * keep)
+    forgets = f"a window forgets how it began in {needed * sample_time:g} s"
+    progress(Detail(forgets))
+    problem = WindowsOfLog(like, log, places_of(*_commanded(like)), length, settled, progress)
+    sums = problem.pass_over(x).sums
+
+    def watch(step: Step) -> None:
+        progress(Detail(f"pass {len(problem.passes)}: torque error {100 * step.norm / math.sqrt(sums.size):.4f} %"))
+
+    enough = _ROUNDING * math.sqrt(sums.size)
+    solution = solve(problem, LevenbergMarquardt(1e-8, _PASSES, None, _SUMMED / sums.rows, enough), x, watch)
+    found, x = problem.pass_over(solution.x), solution.x
+    if found.stopped:
+        raise MethodError(
+            f"{found.stopped[:1].upper()}{found.stopped[1:]}: check the controller and the start, or begin from "
+            "another window."
+        )
+    # What the last step promises is taken without another pass.
+    step = damped_step(solution.residual, solution.jacobian, Bounds.of(problem.free).shift_to(x))
+    found, x = found.shift(step), x + step
+    covariance, sums, at = found.covariance(), found.sums, like.loop_at(x)
+    left = np.array([math.sqrt(sums.square)])
+    rows = rows_of_problem(like, x, covariance, left, solution.jacobian)
+    made = build_estimate(
+        [record],
+        tuple(row for row in rows if row.of_joint or row.free),
+        covariance.correlation,
+        (np.zeros(0), np.zeros(0)),
+        sums.relative_error,
+        sums.rows,
+        (solution.message, solution.converged),
+        began.fit.simulations + len(problem.passes) * len(found.windows),
+        replace(
+            began.settings, variant=f"{began.settings.variant}, in windows", loop=at,
+            delay=at.controller.law(sample_time).delay,
+        ),
+        began.data.channels,
+        known=identifiability(problem.free, like.units, x, solution.jacobian, covariance),
+        agreement=drift(found.windows, x, problem.free, like.units),
+        window=began,
+        warnings=(
+            *([f"{forgets}; give longer windows"] if needed > settled else []),
+            *warn_of_limit(float(np.mean([w.at_limit for w in found.windows]))),
+        ),
+    )  # fmt: skip
+    span = Windows(
+        length=length * sample_time,
+        settling=settled * sample_time,
+        count=len(found.windows),
+        still=found.still,
+        duration=found.windows[-1].end - found.windows[0].begin,
+    )
+    return replace(
+        made,
+        fit=replace(made.fit, passes=len(problem.passes)),
+        data=replace(made.data, record=log.name, fingerprints=(), resampled=None, windows=span),
+    )
+
+
+def _start(
+    log: LongRecord,
+    cut: tuple[int, int],
+    model: ClosedLoop,
+    known: Mapping[str, Parameter],
+    fit: FitRecord,
+    progress: Progress,
+) -> Estimate:
+    """Return the estimate of a window that identifies the joint.
+
+    Raises:
+        RecordError, MethodError: none of the first does; what is wrong with the last that was tried.
+    """
+    refusal: RecordError | MethodError = MethodError(NO_MOTION)
+    first = list(islice(filter(moves, (chunk.record for chunk in log.chunks(*cut))), _STARTS))
+    enough = _TRAVEL * max(map(travel, first), default=0.0)
+    for record in sorted(first, key=lambda one: travel(one) < enough):
+        progress(f"starting from the window that begins at {record.begin:g} s")
+        try:
+            found = fit(record, model, parameters=known)
+        except (RecordError, MethodError) as error:
+            refusal = error
+            continue
+        if not (lost := [row.name for row in found.rows if row.of_joint and row.value is None]):
+            return found
+        refusal = MethodError(
+            f"A window does not tell {', '.join(lost)}; give a longer window, or identify the joint as rigid."
+        )
+    raise refusal
