@@ -2,6 +2,7 @@
 
 import os
 import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,7 +138,11 @@ def fleet(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return place
 
 
-def test_a_campaign_is_run_goes_on_and_is_told(fleet: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_is_run_goes_on_and_is_told(
+    fleet: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By threads, which begin sooner than the processes of `test_losses`."""
+    monkeypatch.setattr("jointid.campaigns.run.ProcessPoolExecutor", lambda count, *_: ThreadPoolExecutor(count))
     command = ("campaign", "campaign.toml", "--workers", 1, "-q")
     assert run(*command) == 0
     assert "Run now: 4 of 4." in capsys.readouterr().out

@@ -8,6 +8,7 @@ import pytest
 from jointid.diagnostics.validation import validate
 from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.records.chunks import cut
 from jointid.records.record import Record
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulate
@@ -29,6 +30,7 @@ def noisy(case: Case, loop: ClosedLoop, values: dict[str, float], share: float =
 @pytest.mark.parametrize("shares", [RISES, FALLS])
 def test_a_rigid_axis_tells_its_friction_towards_standstill(shares: dict[str, float]) -> None:
     case = rigid(prismatic(1))
+    case = replace(case, clean=cut(case.clean, 0, 12_000))
     loop, values = slow(case, shares)
     estimate = identify(noisy(case, loop, values), loop)
     for name in ("inertia", "viscous", "coulomb", "stribeck_force", "stribeck_speed", "offset"):
