@@ -13,6 +13,7 @@ from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run import Found, Outcome, Row
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Picture
+from jointid.output.report.sections import page
 
 STATED = {"stiffness": 0.008, "total_coulomb": 0.017, "total_viscous": 0.025}
 """Stated standard deviation as a share of the value, as the fleet of `examples/fleet` has them."""
@@ -156,8 +157,6 @@ def test_a_joint_that_lost_its_value_is_named_and_one_spoilt_day_is_no_loss() ->
 
 
 def test_a_page_shows_what_changed() -> None:
-    from jointid.output.report.sections import page
-
     rows = [replace(row, sentence="<script>alert(1)", outcome=Outcome.DOUBTFUL) if row.day > "2026-10-15" else row
             for row in fleet(1, 30, falling=2)]  # fmt: skip
     shown = report(rows).to_document(details=True, pictures=True)

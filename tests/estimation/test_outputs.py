@@ -17,6 +17,8 @@ from jointid.paper.twin import twin
 from jointid.records.chunks import cut
 from jointid.simulation.plant import Numbers
 from jointid.simulation.synthesis import simulate
+from tests.estimation.robots.twin import arm, motion
+from tests.robots_plants import two
 
 SAMPLE_TIME = 2e-3
 TRUTH = {"inertia": 0.5, "viscous": 0.6, "coulomb": 1.5, "offset": 0.2}
@@ -163,8 +165,6 @@ CASCADES = tuple(ji.controller.Cascade(position_gain=15.0, velocity_gain=v, inte
 
 def log_robot(laws: tuple[Any, ...]) -> tuple[ji.robots.RobotLoop, list[ji.Record]]:
     """Return a robot under its controllers, and a log of its positions."""
-    from tests.estimation.robots.twin import arm, motion
-
     loop = ji.robots.RobotLoop(arm(2), laws)
     references = motion(3, 2, 6.0)[0]
     asked = [ji.Record(reference=ji.Channel(one, "rad", SAMPLE_TIME)) for one in (references - references[0]).T]
@@ -203,8 +203,6 @@ def test_a_robot_without_torques_is_identified_from_its_positions(
 
 def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared() -> None:
     """The law differentiates the noise, and the filter holds to it at both ends."""
-    from tests.robots_plants import two
-
     twin = two()
     loop, asked, random = twin.loop(), twin.records(6.0), np.random.default_rng(3)
     computed = []

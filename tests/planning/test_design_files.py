@@ -11,6 +11,7 @@ import pytest
 
 import jointid as ji
 from jointid.config import load, loads
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.records.formats import read_table
 from tests.rigid_axis import run
 from tests.robots_plants import six, two
@@ -38,8 +39,6 @@ NOISE = np.array([0.05, 0.03])
 
 def played(robot: ji.robots.Robot, q: np.ndarray, seed: int) -> np.ndarray:
     """Return what the motors give for a motion, N m of load, with friction that no file states, and noise."""
-    from jointid.models.robots.dynamics import inverse_dynamics
-
     v = np.gradient(q, 1e-3, axis=0)
     torque = inverse_dynamics(robot.tree, robot.inertials, q, v, np.gradient(v, 1e-3, axis=0))
     torque += FRICTION * np.sign(v) + np.array([2.0, 1.0]) * v

@@ -135,8 +135,6 @@ def recorded(path: Path, logged: Logged, **how: Any) -> Any:
 
 def test_the_unit_of_the_file_counts_where_none_is_stated(tmp_path: Path) -> None:
     path, logged = made("hdf5", tmp_path), LOGGED["hdf5"]
-    import h5py
-
     with h5py.File(path, "r+") as file:
         file["axis/q"].attrs["units"] = "°"
         file["t"].attrs["units"] = "ms"

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 import jointid as ji
 from jointid.common.errors import RecordError
-from jointid.records.clock import fit_line
-from jointid.records.record import Timing
-from jointid.records.resampling import Resampling
+from jointid.records.clock import Clock, fit_line
+from jointid.records.record import Channel, Timing
+from jointid.records.resampling import Resampling, Signal, resample_together
 from tests.records.logged import topics
 
 T = 1e-3
@@ -64,10 +64,6 @@ def test_a_held_channel_gives_each_of_its_values_once(saved: Saved) -> None:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 1.0, 1.7, 4.0]))
 def test_the_means_of_an_average_add_up(seed: int, ratio: float) -> None:
     """The integral over the new periods is that over the old ones, at any rate."""
-    from jointid.records.clock import Clock
-    from jointid.records.record import Channel
-    from jointid.records.resampling import Signal, resample_together
-
     rng = np.random.default_rng(seed)
     stamps = np.arange(60) * T + 0.3 * T * rng.random(60)
     means = rng.standard_normal(60)
