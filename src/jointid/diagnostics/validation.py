@@ -29,7 +29,7 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.methods.drive_side import motion_problem
-from jointid.estimation.parameters import LOG_DELAY
+from jointid.estimation.parameters import LOG_DELAY, robot_parameters
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
@@ -39,17 +39,18 @@ from jointid.estimation.problems.inverse_model import (
     require_one_log,
     through_window,
 )
-from jointid.estimation.problems.simulated import outcome_of
+from jointid.estimation.problems.simulated import outcome_of, pose_robot
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_check
 from jointid.estimation.rigid_starts import fit_initial_state
+from jointid.estimation.robots.simulated import nominal_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide
-from jointid.simulation.simulate import Outcome, require_success
-from jointid.solvers.solve import LevenbergMarquardt, Solution, solve
+from jointid.simulation.simulate import Outcome, motion_at
+from jointid.solvers.solve import LevenbergMarquardt, solve
 
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
 _OTHER_LAW = "the controller is not that of the identification, which is right only if its gains were changed"
@@ -229,7 +230,9 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
         MethodError: the joint or robot cannot be simulated on this record.
     """
     records, settings = _take_records(estimate, record), estimate.settings
-    found, robot = _predict(estimate, records), None if estimate.robot is None else estimate.robot.model
+    robot = None if estimate.robot is None else estimate.robot.model
+    by_motion = settings.method == "idim" and (robot is not None or settings.loop is None)
+    found = (_evaluate_inverse_model if by_motion else _simulate)(estimate, records)
     torques = [one.torque for one in records if one.torque is not None]
     own = fingerprint(np.concatenate([torque.values for torque in torques])) in estimate.data.fingerprints
     axes = [("", torques[0].unit, POSITION_UNIT[settings.joint.kind])] if robot is None else [
@@ -313,15 +316,6 @@ class _Predicted(NamedTuple):
     nominal_errors: Callable[[], FloatArray] | None = None
 
 
-def _predict(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
-    settings = estimate.settings
-    if estimate.robot is not None and settings.method != "idim":
-        return _simulate_robot(estimate, records)
-    if settings.loop is not None or settings.method == "drive_side":
-        return _simulate_joint(estimate, records[0])
-    return _evaluate_inverse_model(estimate, records)
-
-
 def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
     settings, part = estimate.settings, estimate.robot
     if part is None:
@@ -357,83 +351,60 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     return found._replace(compared=motion.moving, nominal_errors=nominal)
 
 
-def _simulate_joint(estimate: Estimate, record: Record) -> _Predicted:
-    """Predict the torque of a joint's loop, or that along its motor's motion with the log's own delay."""
-    settings, known = estimate.settings, estimate.require_values()
-    joint, compared = settings.joint, np.ones(1)
-    values = {p.name: known[p.name] for p in joint.parameters}
-    free: Any
+def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
+    """Predict the torques of a joint or a robot, under its controllers or along the motion of its motors."""
+    settings, part, nominal, compared = estimate.settings, estimate.robot, None, 1.0
     problem: Any
-    if settings.loop is not None:
-        free = torque_problem(record, settings.loop, settings.filtering, joint.parameters)
-        problem = free.keeping(values)
-        x = fit_initial_state(problem)
-        run = require_success(problem.simulate(x))
-        predicted, q, v = run.torque, run.motor_position, run.motor_velocity
-        free = free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]})
+    free: Any
+    if part is None:
+        joint, known, (record,) = settings.joint, estimate.require_values(), records
+        values = {p.name: known[p.name] for p in joint.parameters}
+        if settings.loop is not None:
+            free = torque_problem(record, settings.loop, settings.filtering, joint.parameters)
+            problem = free.keeping(values)
+            x = fit_initial_state(problem)
+            free = free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]})
+        else:  # with the log's own delay
+            delay = LOG_DELAY.fix(-settings.delay)
+            free = motion_problem(record, DriveSide(joint), settings.filtering, joint.parameters, delay)
+            problem = free.keeping(values)
+            x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
+        runs, start = problem.run(x), free.vector(problem.values(x))
     else:
-        delay = LOG_DELAY.fix(-settings.delay)
-        free = motion_problem(record, DriveSide(joint), settings.filtering, joint.parameters, delay)
-        problem, moved = free.keeping(values), free.log.motion
-        x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
-        if outcome_of(problem.run(x)) is not Outcome.FINISHED:
-            raise MethodError("The joint cannot be simulated along this record; check its motor position and torque.")
-        predicted, q, v, compared = problem.torque(x), moved.q[:, 0], moved.v[:, 0], moved.moving
-    error, whole = problem.filter(np.column_stack([problem.measured - predicted, problem.measured])).T
-
-    def fit_anew() -> FloatArray | None:
-        found = _search(free, free.vector(problem.values(x)))
-        return None if found is None else found.residual[np.newaxis]
-
-    raw, told, q, v = (one[:, np.newaxis] for one in (problem.measured, predicted, q, v))
-    rows = error[np.newaxis], whole[np.newaxis]
-    return _Predicted(problem.sample_time, problem.filtering.borders, raw, told, *rows, q, v, fit_anew, compared)
-
-
-def _search(problem: Any, start: FloatArray) -> Solution | None:
-    """Return the solution of a search; None if it fails."""
-    try:
-        with np.errstate(all="ignore"):  # a loop that runs away
-            return solve(problem, _SEARCH, start)
-    except (JointidError, np.linalg.LinAlgError):
-        return None
-
-
-def _simulate_robot(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
-    from jointid.estimation.parameters import robot_parameters
-    from jointid.estimation.problems.simulated import pose_robot
-    from jointid.estimation.robots.simulated import nominal_numbers
-    from jointid.simulation.simulate import motion_at
-
-    require_one_log(records)
-    part = estimate.require_robot()
-    robot, numbers = part.model, part.numbers()
-    problem: Any = pose_robot(part.setup, records, robot_parameters(robot), estimate.settings.filtering)
-    runs = problem.run_of(numbers)
-    if runs is None:
-        what = "references" if part.has_controllers else "motor positions"
-        raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    (run,), error, parameters, compared = runs, problem.error(runs), problem.parameters, 1.0
-    if part.has_controllers:
-        moved = motion_at(run, problem.log.experiment.clock.log_index)
-        q, v = moved.position[:, numbers.motors], moved.velocity[:, numbers.motors]
-    else:
-        motion = problem.log.motion
-        q, v, compared = motion.q @ robot.coupling.T, motion.v @ robot.coupling.T, motion.moving
-
-    def fit_anew() -> FloatArray | None:
+        require_one_log(records)
+        robot, numbers = part.model, part.numbers()
+        problem = pose_robot(part.setup, records, robot_parameters(robot), settings.filtering)
+        runs, parameters = problem.run_of(numbers), problem.parameters
         base = parameters.base.with_record(numbers, (LOG_DELAY.name,))
         free = replace(problem, parameters=replace(parameters, base=base))
-        x, left = parameters.to_search_variables(parameters.group(run.numbers)), error
-        for _ in range(2):  # each axis weighted by its error: of the estimate, then of a first search
-            free = free.reweight(left, 0)
-            if (found := _search(free, x)) is None:
+        start = parameters.to_search_variables(parameters.group(runs[0].numbers if runs else numbers))
+        nominal = partial(problem.left_by, nominal_numbers(robot, numbers)) if robot.has_masses else None
+    if runs is None or outcome_of(runs) is not Outcome.FINISHED:
+        what = "motor positions and torques" if problem.motion_measured else "references"
+        raise MethodError(f"What was identified cannot be simulated along this record; check its {what}.")
+    (run,), error, log = runs, problem.error(runs), problem.log
+    if problem.motion_measured:
+        path, speed = (one[:: log.parts] for one in (log.prescribed.position, log.prescribed.velocity))
+        compared = log.motion.moving
+    else:
+        moved = motion_at(run, log.experiment.clock.log_index)
+        path, speed = (one[:, run.numbers.motors] for one in (moved.position, moved.velocity))
+
+    def fit_anew() -> FloatArray | None:
+        weighted, x, left = free, start, error
+        for _ in range(
+            min(len(records), 2)
+        ):  # each axis weighted by its error: of the estimate, then of a first search
+            weighted = weighted.reweight(left, 0)
+            try:
+                with np.errstate(all="ignore"):  # a loop that runs away
+                    found = solve(weighted, _SEARCH, x)
+            except (JointidError, np.linalg.LinAlgError):
                 return None
-            x, left = found.x, found.residual / free.weights(error.size)
+            x, left = found.x, found.residual / weighted.weights(error.size)
         return np.asarray(problem.by_joint(left))
 
-    nominal = partial(problem.left_by, nominal_numbers(robot, numbers)) if robot.has_masses else None
     return _Predicted(
-        problem.sample_time, problem.filtering.borders, problem.measured, problem.predict(runs),
-        problem.by_joint(error), problem.by_joint(problem.filtered_torque), q, v, fit_anew, compared, nominal,
+        problem.sample_time, problem.filtering.borders, log.measured, problem.predict(runs), problem.by_joint(error),
+        problem.by_joint(problem.filtered_torque), path, speed, fit_anew, compared, nominal,
     )  # fmt: skip
