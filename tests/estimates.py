@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import jointid as ji
 from jointid.diagnostics.diagnosis import diagnose_joint
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.search_state import MOST
+from jointid.diagnostics.search import MOST
 from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.simulated import pose_robot

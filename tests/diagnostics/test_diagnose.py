@@ -16,7 +16,6 @@ from jointid.diagnostics.explain import find_failure_causes
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
-from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import to_dict
 from jointid.records.record import Channel, Record, Timing
@@ -176,20 +175,11 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
 
 
 def test_positions_alone_are_diagnosed_and_said_to_be_what_was_compared() -> None:
-    law = Cascade(position_gain=100.0, velocity_gain=2000.0)
-    loop, slow = (
-        ClosedLoop(RigidJoint("prismatic"), law),
-        ClosedLoop(RigidJoint("prismatic", Friction("stribeck")), law),
-    )
-    reference = trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, rest=0.1, duration=6.0)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    record = simulated_record(
-        slow, reference, truth | {"stribeck_force": 15.0, "stribeck_speed": 0.03}, sample_time=1e-3
-    )
+    record, loop = without_mistake(axis("rigid"))
     found = diagnose(record.without("torque"), loop)
-    (axis,) = found.axes
-    assert axis.signal == "torque computed from the position"
-    assert f"filtered {axis.signal}" in str(found)
+    (one,) = found.axes
+    assert one.signal == "torque computed from the position"
+    assert f"filtered {one.signal}" in str(found)
 
 
 @pytest.mark.slow

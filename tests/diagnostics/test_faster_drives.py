@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.diagnostics.changes import PERIOD, list_variants
 from jointid.diagnostics.suspects import AxisFaults
-from jointid.diagnostics.variants import PERIOD, list_variants
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint

@@ -5,8 +5,8 @@ import re
 import pytest
 
 from jointid.apps.cli.app import app
+from jointid.diagnostics.changes import AVERAGED, INTERPOLATIONS, MEASURED_VELOCITY, OTHER_LAWS, PERIOD, PRESENT_SAMPLE
 from jointid.diagnostics.suspects import FAULTS, AxisFaults, Fault, FaultTest, Finding, OtherLaw
-from jointid.diagnostics.variants import AVERAGED, INTERPOLATIONS, MEASURED_VELOCITY, OTHER_LAWS, PERIOD, PRESENT_SAMPLE
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS

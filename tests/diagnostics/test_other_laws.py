@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.suspects import AxisFaults, FaultTest
-from jointid.diagnostics.variants import (
-    AVERAGED,
-    LATE,
-    MEASURED_VELOCITY,
-    PRESENT_SAMPLE,
-    LawTest,
-    choose_law,
-    list_feedback_laws,
-)
+from jointid.diagnostics.changes import AVERAGED, MEASURED_VELOCITY, PRESENT_SAMPLE, list_feedback_laws
+from jointid.diagnostics.search import LawTest, choose_law
+from jointid.diagnostics.suspects import REFERENCE_DELAY, AxisFaults, FaultTest
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, POSITION, REFERENCE, Cascade, FirstOrder, respond, with_present_sample
 from jointid.models.controllers.sampled import INPUTS
@@ -122,7 +115,7 @@ def test_no_law_of_the_reference_is_chosen_that_leaves_more_than_the_declared_on
 ) -> None:
     laws = [
         LawTest(None, None, None, FaultTest(fault, (), 0.0, 1.0, 0.1, 1e-9), gain)  # type: ignore[arg-type]
-        for fault, gain in zip((LATE, AVERAGED), gains, strict=True)
+        for fault, gain in zip((REFERENCE_DELAY, AVERAGED), gains, strict=True)
     ]
     found = choose_law(laws)
     assert found is (None if chosen is None else laws[chosen])

@@ -8,7 +8,13 @@ import pytest
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.samples import find_lost_samples, find_parts_off, find_plain_cause, find_standstill, find_steps
+from jointid.diagnostics.model_free import (
+    find_lost_samples,
+    find_parts_off,
+    find_plain_cause,
+    find_standstill,
+    find_steps,
+)
 from jointid.estimation.result.verdict import Reason
 from jointid.records.record import Channel, Record
 from studies.mechanics import lose

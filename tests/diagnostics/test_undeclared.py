@@ -9,13 +9,14 @@ import pytest
 import jointid as ji
 from jointid.controller import FirstOrder
 from jointid.diagnostics.axis_torques import torques_of_loop
-from jointid.diagnostics.considered import list_undeclared, widen_for_undeclared
+from jointid.diagnostics.identify import list_undeclared, widen_for_undeclared
 from jointid.estimation.identify import fit
 from jointid.records.record import Tap
 from jointid.simulation.derivatives import respond_to_laws
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
+from tests.estimates import faults_of
 from tests.robots_plants import two
 
 LAW = ji.controller.Cascade(position_gain=40.0, velocity_gain=3.0, period=1.25e-4)
@@ -62,6 +63,26 @@ def test_intervals_hold_what_a_hidden_velocity_filter_moves():
 def test_what_the_record_excludes_or_the_controller_denies_widens_nothing():
     assert all(wide < 1.3 * std for _, std, wide in widened(logged())[0].values())
     assert widened(logged(0.5e-3), replace(LAW, undeclared="none"))[1] == []
+
+
+def test_a_signal_that_is_added_to_the_output_is_as_late_as_that():
+    problem = fit(record := logged(), ji.ClosedLoop(JOINT, LAW), ji.DIDIM(frequency=50.0)).problem
+    x, late = problem.vector(TRUE), replace(LAW, delay=6e-5)
+    (run,), (own,) = problem.run(x), problem.log.experiment.axes
+    changed = problem.under(late, record).torque(x) - problem.torque(x)
+    (found,), _ = respond_to_laws(run, [(0, replace(own, law=own.law_of(late)))])
+    assert np.linalg.norm(problem.filter(found[:, 0] - changed)) < 0.2 * np.linalg.norm(problem.filter(changed))
+
+
+@pytest.mark.slow
+def test_an_injected_signal_of_another_size_is_named():
+    record = logged()
+    channel = replace(record.injected.channel, values=1.1 * record.injected.channel.values)
+    wrong = replace(record, injected=replace(record.injected, channel=channel))
+    estimate = ji.identify(wrong, ji.ClosedLoop(JOINT, LAW), ji.DIDIM(frequency=50.0), checks=False)
+    (found,) = faults_of(estimate, wrong, most=1).findings
+    assert found.test.name == "injected_gain"
+    assert 1.1 * (1.0 + found.test.size) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize(

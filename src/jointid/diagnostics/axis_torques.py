@@ -6,6 +6,7 @@ through the filter of the torques.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Sequence
@@ -16,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
 from jointid.common.parallel import in_threads
+from jointid.diagnostics.changes import AVERAGED, OF_REFERENCE, SCREENED, list_variants
 from jointid.diagnostics.seen import Seen
-from jointid.diagnostics.suspects import FAULTS, FaultSignature, list_signatures
-from jointid.diagnostics.variants import list_reference_laws
+from jointid.diagnostics.suspects import FAULTS, Fault, FaultSignature, list_signatures
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.problems.inverse_model import MeasuredMotion, inverse_of_robot, read_as
-from jointid.estimation.problems.simulated import decimate_each
+from jointid.estimation.problems.simulated import Simulated, decimate_each, pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
@@ -30,8 +32,10 @@ from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import find_noise_limit, lowpass_below_noise
 from jointid.simulation.simulate import Simulation
+from jointid.uncertainty.model_tests import Whiteness, whiteness
 
 _TURN = 1e-4  # rad or m: step of a derivative
+_OF_ROBOT = 0.5  # of a change: less shows that a robot's drive runs no such law
 _ROTORS = (0.0, 0.25, 0.5, 0.75)  # shares of a joint's own inertia that its rotor may have
 
 
@@ -40,8 +44,6 @@ class AxisTorques:
     """Torques of all axes, filtered and decimated, on an estimate's own record or another one.
 
     Attributes:
-        names: of the axes.
-        time: (rows,) of them, s.
         sample_time, cutoff: s between rows, and Hz of the filter.
         measured, predicted: (n, rows) N m or N, behind the gear.
         seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
@@ -52,8 +54,6 @@ class AxisTorques:
         along_measured_motion: whether the positions are those of the log.
     """
 
-    names: tuple[str, ...]
-    time: FloatArray
     sample_time: float
     cutoff: float
     measured: FloatArray
@@ -64,6 +64,11 @@ class AxisTorques:
     own: FloatArray
     shapes: tuple[tuple[FaultSignature, ...], ...]
     along_measured_motion: bool = False
+
+    @property
+    def time(self) -> FloatArray:
+        """Instants of the rows, (rows,) s."""
+        return self.sample_time * np.arange(float(self.measured.shape[1]))
 
     @property
     def error(self) -> FloatArray:
@@ -81,6 +86,12 @@ class AxisTorques:
         """Place of each axis among the rows of all that are seen."""
         ends = np.cumsum([0, *np.sum(self.seen, axis=1)]).tolist()
         return [slice(*pair) for pair in itertools.pairwise(ends)]
+
+    def judge(self, axis: int) -> tuple[float, Whiteness | None]:
+        """Return the share of an axis' torque that is left, and its whiteness; None where the record is too short."""
+        whole = float(np.linalg.norm(self.measured[axis])) or 1.0
+        white = whiteness(self.error[axis][self.seen[axis]], self.sample_time, self.cutoff)
+        return float(np.linalg.norm(self.error[axis])) / whole, white
 
     def stack(self, each: FloatArray) -> FloatArray:
         """Return values of all axes, (n, rows, ...), in the compared rows, scaled by the sizes of the errors."""
@@ -111,9 +122,8 @@ def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
     path = problem.filter(np.column_stack([run.motor_position, run.motor_velocity]))
     step, rows = problem.sample_time * (problem.filtering.decimation or 1), measured.size
     return AxisTorques(
-        ("",), step * np.arange(rows, dtype=np.float64), step, problem.filtering.cutoff or math.inf,
-        measured[np.newaxis], (measured - error)[np.newaxis], np.ones((1, rows), dtype=np.bool_),
-        path[np.newaxis, :, 0], path[np.newaxis, :, 1], -slopes[np.newaxis], ((),),
+        step, problem.filtering.cutoff or math.inf, measured[np.newaxis], (measured - error)[np.newaxis],
+        np.ones((1, rows), dtype=np.bool_), path[np.newaxis, :, 0], path[np.newaxis, :, 1], -slopes[np.newaxis], ((),),
     )  # fmt: skip
 
 
@@ -156,7 +166,7 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     if motion is None:  # under controllers
         moved, rotors = Simulation.of(solved.runs[0]).motion, part.numbers().motors
         q, v, a = (one[:, rotors] for one in (moved.position, moved.velocity, moved.acceleration))
-        known = list_reference_laws(cast("RobotLoop", part.setup), records, problem, part.numbers(), predicted)
+        known = _list_reference_laws(part, records, problem, predicted)
     else:
         q, v, a = (one @ robot.coupling.T for one in (motion.q, motion.v, motion.a))
     if settings.method == "idim":
@@ -178,9 +188,9 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     )
     path, step = thin(np.stack([q, v], axis=2)), source.sample_time * source.filtering.decimation
     return AxisTorques(
-        robot.names, np.asarray(step * np.arange(measured.shape[1])), step, source.filtering.cutoff, measured,
-        predicted, np.ones(measured.shape, dtype=np.bool_) if motion is None else motion.whole_rows, path[:, :, 0],
-        path[:, :, 1], own.reshape(n, -1, own.shape[1]), shapes, along_measured_motion=motion is not None,
+        step, source.filtering.cutoff, measured, predicted,
+        np.ones(measured.shape, dtype=np.bool_) if motion is None else motion.whole_rows, path[:, :, 0], path[:, :, 1],
+        own.reshape(n, -1, own.shape[1]), shapes, along_measured_motion=motion is not None,
     )  # fmt: skip
 
 
@@ -212,3 +222,31 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
             moved = (through(q + turned, v + turning, a + pushed) - still) / by
             found.append(moved - share * np.outer(own * back[2], unit))
     return np.stack(found, axis=2)
+
+
+def _list_reference_laws(
+    part: IdentifiedRobot, records: Sequence[Record], problem: Simulated, predicted: FloatArray
+) -> list[list[FaultSignature]]:
+    """Return the changes of the torque of each joint by other uses of its reference, per unit of size, (rows,).
+
+    One simulation for each shows it for all joints at once: what a joint's reference changes of another's torque is
+    little. The torques of the problem, filtered, are (n, rows).
+    """
+    setup, log, each = cast("RobotLoop", part.setup), problem.sample_time, list[dict[Fault, Any]]()
+    for law, record, read in zip(setup.controllers, records, problem.log.experiment.axes, strict=True):
+        variants = (first for first, *_ in list_variants(law, record, log, read.law.period))
+        each.append({one.fault: one.controller for one in variants if one.fault in OF_REFERENCE})
+    found: list[list[FaultSignature]] = [[] for _ in each]
+    for fault in dict.fromkeys(fault for laws in each for fault in laws):
+        laws = tuple(own.get(fault, law) for own, law in zip(each, setup.controllers, strict=True))
+        with contextlib.suppress(JointidError):  # a log that such a controller cannot have
+            other = pose_robot(replace(setup, controllers=laws), records, problem.parameters, problem.filtering)
+            if (run := other.run_of(part.numbers(), keep=False)) is None:
+                continue
+            moved = other.by_joint(decimate_each(other.log, list(other.predict(run).T))) - predicted
+            shown, size = replace(fault, one_sided=True, least=_OF_ROBOT), 1.0
+            if fault is AVERAGED:
+                shown, size = replace(fault, one_sided=True, measure="ms"), SCREENED * log
+            for k in (k for k, own in enumerate(each) if fault in own):
+                found[k].append(FaultSignature(shown, moved[k] / size))
+    return found

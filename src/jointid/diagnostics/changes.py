@@ -5,7 +5,17 @@ the same record of another joint: ``u = g C(r - q)``. A number on the wrong side
 or N^2. So one change stands for all of them. The factor is a hint: 57.3 is an angle in degrees, 1000 a length in mm, a
 gear's ratio or its square the wrong side of the gear.
 
-To add one, write what corrects it, its words, and its row. Other laws of the drive (`variants`) are rows, too.
+To add one, write what corrects it, its words, and its row.
+
+Laws that a drive may run instead of the declared one, with the same settings, are rows, too. An integral sums the
+errors of earlier periods, or also that of the present one; manuals seldom say which. With the present one a PI of 1 kHz
+and 20 ms is 5 % stiffer, and a stiffness that is identified under the other law is wrong by 6 % without a worse fit. A
+law whose velocity comes from a sensor or an observer is the same half a period earlier.
+
+Without a declared period that of the log is used. A faster drive reacts earlier, by up to half a sample of the log, and
+the identified joint is another one. A drive that is faster than its reference holds it, draws lines through it, or
+cubics. It may also see its reference late, or average it over a time, which makes it later by half of that. To add one,
+yield it in `list_variants`.
 """
 
 from __future__ import annotations
@@ -14,16 +24,17 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
-from jointid.diagnostics.suspects import OtherLaw, milliseconds, name_number
-from jointid.diagnostics.variants import PERIOD, WHOLE, list_variants
-from jointid.models.controllers import FirstOrder, numbers_of, unit_of_number, with_numbers
+from jointid.diagnostics.suspects import REFERENCE_DELAY, Fault, OtherLaw, milliseconds, name_number
+from jointid.models.controllers import PD, FirstOrder, numbers_of, unit_of_number, with_numbers, with_present_sample
+from jointid.models.controllers.servo_base import Interpolation
 from jointid.models.joints import ClosedLoop
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
+from jointid.records.resampling import default_interpolation
 from jointid.records.signals.filtering import Filtering
 
 _DEGREES = 180 / math.pi
@@ -101,10 +112,21 @@ class Case:
         return numbers_of(self.controller)
 
     @property
+    def torque(self) -> Channel:
+        """The torque of the record."""
+        assert self.record.torque is not None
+        return self.record.torque
+
+    @property
+    def reference(self) -> Channel:
+        """The reference of the record."""
+        assert self.record.reference is not None
+        return self.record.reference
+
+    @property
     def period(self) -> float:
         """The controller's period, s: the torque's where none is declared."""
-        assert self.record.torque is not None
-        return getattr(self.controller, "period", None) or self.record.torque.sample_time
+        return getattr(self.controller, "period", None) or self.torque.sample_time
 
     @property
     def loops(self) -> list[ClosedLoop]:
@@ -127,22 +149,18 @@ class Case:
         ))  # fmt: skip
 
 
-Meanings: TypeAlias = Iterable[tuple[str, str, float | None]]
-"""Codes, words and values of the mistakes that one change may correct."""
-
-
 class Change(NamedTuple):
     """A row of the table: what corrects a mistake, and what it then is.
 
     Attributes:
         name: its code.
         correct: yields the cases in which it is corrected.
-        say: yields what it may be, given the number that was found and the case as declared.
+        say: yields the causes that it may be, given the number that was found and the case as declared.
     """
 
     name: str
     correct: Callable[[Case], Iterable[Case]]
-    say: Callable[[float | None, Case], Meanings]
+    say: Callable[[float | None, Case], Iterable[Cause]]
 
 
 def is_small(cause: Cause, declared: Case) -> bool:
@@ -206,16 +224,12 @@ def _try_feedforward(case: Case) -> Iterator[Case]:
 
 
 def _invert_torque(case: Case) -> Iterator[Case]:
-    assert case.record.torque is not None
-    yield case.logging(torque=-case.record.torque.values)
+    yield case.logging(torque=-case.torque.values)
 
 
 def _swap_channels(case: Case) -> Iterator[Case]:
-    torque, reference = case.record.torque, case.record.reference
-    assert torque is not None
-    assert reference is not None
-    if len(torque) == len(reference):
-        yield case.logging(torque=reference.values, reference=torque.values)
+    if len(case.torque) == len(case.reference):
+        yield case.logging(torque=case.reference.values, reference=case.torque.values)
 
 
 def _try_sample_times(case: Case) -> Iterator[Case]:
@@ -232,10 +246,8 @@ def _try_sample_times(case: Case) -> Iterator[Case]:
 
 def _try_torque_scales(case: Case) -> Iterator[Case]:
     """Yield the torque in other scales beside an injected signal, which keeps its own."""
-    torque = case.record.torque
-    if case.record.injected is not None and torque is not None:
-        for factor in _SCALES:
-            yield replace(case.logging(torque=torque.values / factor), free="log_gain", factor=factor)
+    for factor in _SCALES if case.record.injected is not None else ():
+        yield replace(case.logging(torque=case.torque.values / factor), free="log_gain", factor=factor)
 
 
 def _try_factors(case: Case) -> Iterator[Case]:
@@ -259,7 +271,7 @@ def _say_times(factor: float) -> str:
     return f"about {number(max(factor, 1 / factor), 2)} times"
 
 
-def _say_factor(of_torque: bool, value: float | None, case: Case) -> Meanings:
+def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Cause]:
     """Yield the meanings of a factor of the torque or of a gain of the law, the most particular first.
 
     An injected signal in its own scale tells the torque from law and reference.
@@ -270,17 +282,17 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Meanings:
     if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
         actual = "load" if (factor > 1) is (ratio > 1) else "motor"
         side = f"torque, reference or law is on the wrong side of the {ratio:g}:1 gear"
-        yield "gear_side", f'{side} (give the channel side = "{actual}", or see side of [controller])', factor
+        yield Cause("gear_side", f'{side} (give the channel side = "{actual}", or see side of [controller])', factor)
     times = _say_times(factor)
     size, other = ("large", "small") if factor > 1 else ("small", "large")
     unit = next((unit for unit, by in _UNITS.items() if factor < 1 and _is(factor, by, _ROUGHLY)), "")
     names = " or ".join(name for name in ("velocity_gain", "gain") if name in numbers)
-    torque = [("torque_scale", f"the torque is {times} too {size}", factor)]
+    torque = [Cause("torque_scale", f"the torque is {times} too {size}", factor)]
     if constant != 1.0 and _is(factor, constant):
         said = f"the torque constant ({constant:g}) is applied twice, or not at all"
-        torque.insert(0, ("torque_constant", said, factor))
-    reference = [("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)]
-    law = [("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
+        torque.insert(0, Cause("torque_constant", said, factor))
+    reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)]
+    law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
     apart = case.record.injected is not None
     yield from reference if unit and not (apart and of_torque) else ()
     yield from torque if of_torque or not apart else ()
@@ -294,17 +306,18 @@ def _gear_ratio(loop: ClosedLoop) -> float:
     return abs(gear.motor_per_load) if gear is not None else abs(getattr(loop.controller, "ratio", 1.0))
 
 
-def _say_sign(*_: object) -> Meanings:
+def _say_sign(*_: object) -> Iterator[Cause]:
     for name in ("torque", "reference"):
-        yield f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)", None
+        yield Cause(f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)")
 
 
-def _say_sample_time(value: float | None, _: Case) -> Meanings:
+def _say_sample_time(value: float | None, _: Case) -> Iterator[Cause]:
     assert value is not None
-    yield "sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value
+    said = f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}"
+    yield Cause("sample_time", said, value)
 
 
-def _say_number(name: str, clause: str, value: float | None, case: Case) -> Meanings:
+def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iterator[Cause]:
     """Yield one mistake, its clause with the number and the declared one as {shown} and {declared}, with units."""
 
     def show(value: float) -> str:
@@ -317,15 +330,15 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Mean
     if value is None and "{shown}" in clause:
         clause = f"the declared {name_number(name)} is not there"
     numbers = {"shown": show(value or 0.0), "declared": show(case.numbers.get(name, 0.0))} if "{" in clause else {}
-    yield name, clause.format(name=f"the {name_number(name)}", **numbers), value
+    yield Cause(name, clause.format(name=f"the {name_number(name)}", **numbers), value)
 
 
 def _run(law: OtherLaw, case: Case) -> Iterator[Case]:
     yield case.under(law.controller)
 
 
-def _say_law(law: OtherLaw, *_: object) -> Meanings:
-    yield law.fault.name, f"{law.words}: declare {law.remedy}", 1 / law.rate if law.rate else None
+def _say_law(law: OtherLaw, *_: object) -> Iterator[Cause]:
+    yield Cause(law.fault.name, f"{law.words}: declare {law.remedy}", 1 / law.rate if law.rate else None)
 
 
 def _row(name: str, correct: Callable[[Case], Iterable[Case]], clause: str = _IS_ABOUT) -> Change:
@@ -359,10 +372,114 @@ CHANGES = (
 )  # fmt: skip
 
 
+# What a drive may run instead
+
+_TIMES_FASTER = (2, 4, 8)  # than the log: at these rates a drive may run whose period is not declared
+_SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
+SCREENED = 4
+"""Samples of the log: of a mean that shows whether the reference is late."""
+_HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
+
+_DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
+PRESENT_SAMPLE = Fault("present_sample", "integral that takes in the present sample")
+MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions")
+PERIOD = Fault("period", "period of the controller")
+INTERPOLATIONS: dict[Interpolation, Fault] = {
+    way: Fault(
+        "held_reference" if way == "hold" else f"{way}_reference", f"reference {done} between its samples",
+        remedy=f'declare interpolation = "{way}"',
+    )
+    for way, done in _DONE.items()
+}  # fmt: skip
+AVERAGED = Fault(
+    "averaged_reference", "reference averaged by the drive",
+    remedy="declare it as reference_average, or half of it as reference_delay",
+)  # fmt: skip
+WHOLE = tuple(one.name for one in INTERPOLATIONS.values())
+"""Names of those that a drive has or has not, so that their size is 1."""
+OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, *INTERPOLATIONS.values())
+"""Those that differ in what they make of the reference."""
+OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *OF_REFERENCE))
+"""Their names."""
+
+
 def list_changes(case: Case) -> Iterator[Change]:
     """Yield every change in the order in which they are tried: the table, then what a drive may do otherwise."""
     yield from CHANGES
-    assert case.record.torque is not None
-    for laws in list_variants(case.controller, case.record, case.record.torque.sample_time, case.period):
+    for laws in list_variants(case.controller, case.record, case.torque.sample_time, case.period):
         for law in (one for one in laws if one.fault is PERIOD or one.fault.name in WHOLE):
             yield Change(law.fault.name, partial(_run, law), partial(_say_law, law))
+
+
+def list_variants(law: Any, record: Record, log: float, period: float) -> Iterator[tuple[OtherLaw, ...]]:
+    """Yield the ways in which a drive may use reference, position and velocity, each by its laws, the plainest first.
+
+    What the first one changes shows whether the record can tell. Cubics matter to a law that differentiates the
+    reference: from lines it gets the velocity half a sample late.
+
+    Args:
+        law: as declared.
+        record: whose reference it reads.
+        log: sample time of the torque, s.
+        period: of the law, s.
+    """
+    assert record.reference is not None
+    for way in _list_other_ways(law, record, period):
+        said, filled = f"the reference is {_DONE[way]} between its samples", replace(law, interpolation=way)
+        yield (OtherLaw(INTERPOLATIONS[way], said, f'interpolation = "{way}"', filled),)
+    if getattr(law, "reference_average", None) == 0.0:
+        yield (average(law, SCREENED * log),)
+    yield from ((one,) for one in list_feedback_laws(law, period))
+    if getattr(law, "period", period) is not None:
+        return
+    used, least = law.interpolation or default_interpolation(record.reference), log / _TIMES_FASTER[0]
+    for other in (None, *_list_other_ways(replace(law, period=least), record, least)):
+        if other == "cubic" and not _differentiates_reference(law):
+            continue
+        faster: Any = law if other is None else replace(law, interpolation=other)
+        more = "" if other is None else f", with its reference {_DONE[other]}"
+        yield tuple(
+            OtherLaw(
+                PERIOD, f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{more}",
+                f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{other or used}"',
+                replace(faster, period=log / times), times / log,
+            )
+            for times in _TIMES_FASTER
+        )  # fmt: skip
+
+
+def average(law: Any, mean: float) -> OtherLaw:
+    """Return a law that averages its reference over a time, s."""
+    said = f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
+    return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
+
+
+def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:
+    """Yield the laws that a drive may run under the same settings, at the same rate."""
+    if getattr(controller, "integral_gain", 0.0):
+        other, gain, more = with_present_sample(controller, period), "position_gain", ""
+        if hasattr(controller, "velocity_gain"):
+            gain, more = "velocity_gain", f" and the integral time {number(1e3 * period, 3)} ms longer"
+        share = number(100 * (getattr(other, gain) / getattr(controller, gain) - 1), 2)
+        words = "the integral takes in the present sample, too"
+        yield OtherLaw(PRESENT_SAMPLE, words, f"{gain} {share} % larger{more}", other)
+    if getattr(controller, "velocity_filter", None) == (1.0,):
+        words = "the velocity is measured or observed, half a period earlier than a difference of positions"
+        earlier = replace(controller, velocity_filter=_HALF_A_PERIOD_EARLIER)
+        remedy = f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}"
+        yield OtherLaw(MEASURED_VELOCITY, words, remedy, earlier)
+
+
+def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
+    """Return the interpolations besides the one in use; none where one is declared."""
+    assert record.reference is not None
+    declared = getattr(controller, "interpolation", "none is possible")
+    if declared is not None or record.reference.sample_time < _SLOWER * period:
+        return ()
+    return tuple(way for way in _DONE if way != default_interpolation(record.reference))
+
+
+def _differentiates_reference(controller: Any) -> bool:
+    ahead = ("velocity_feedforward", "viscous_feedforward", "acceleration_feedforward")
+    own = isinstance(controller, PD) and controller.reference_velocity == "difference"
+    return own or any(getattr(controller, name, 0.0) for name in ahead)

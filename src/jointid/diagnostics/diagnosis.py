@@ -21,14 +21,13 @@ from jointid.common.parallel import in_threads
 from jointid.common.text import join, sentence
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
-from jointid.diagnostics.changes import Cause
+from jointid.diagnostics.changes import OTHER_LAWS, Cause
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
-from jointid.diagnostics.search import search_axes, search_faults
-from jointid.diagnostics.search_state import MOST
+from jointid.diagnostics.score import Tested
+from jointid.diagnostics.search import MOST, search_axes, search_faults
 from jointid.diagnostics.suspects import AxisFaults
-from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason, Subject
@@ -38,7 +37,7 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Link, RobotLoop
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import SOURCE
-from jointid.uncertainty.model_tests import Whiteness, whiteness
+from jointid.uncertainty.model_tests import Whiteness
 from jointid.uncertainty.position_dependent_error import cells, repeatable
 
 _LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
@@ -124,10 +123,8 @@ class AxisDiagnosis:
         """Faults of the axis, each with its remedy, preceded by the axis' name."""
         found, begin = self.faults.reasons, f"{self.name}: " if self.name else ""
         if self.faults.as_declared:
-            said = (
-                f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. None of "
-            )
-            said += "the faults explains it: check geometry, gears and couplings of the model"
+            said = f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. "
+            said += "None of the faults explains it: check geometry, gears and couplings of the model"
             found = () if self.caused or self.explained else (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),)
         return tuple(replace(one, words=f"{begin}{one.words}", clause=f"{begin}{one.brief}") for one in found)
 
@@ -242,10 +239,12 @@ def diagnose_joint(estimate: Estimate, record: Record, solved: Solved, most: int
     problem, x = solved
     std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
-    faults = search_faults(problem, x, std, record, law, most=most)
+    proved = problem.loop if law is not None and law.holds else None
+    faults = search_faults(Tested(problem, x, std, record, proved), most)
     torques = torques_of_loop(problem, x)
     repeats = next((one.passed for one in estimate.about(Subject.REPEATABLE)), None)
-    axis = _diagnose_axis(estimate, torques, 0, law, faults, None if repeats is None else not repeats)
+    repeats = None if repeats is None else not repeats
+    axis = AxisDiagnosis("", *torques.judge(0), law, faults, repeats, signal=estimate.signal)
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques)
 
 
@@ -285,7 +284,7 @@ def diagnose_robot(
             where = cells(torques.position[k][inside], torques.velocity[k][inside])
             seen = repeatable(torques.error[k][inside], where)
             repeats = seen.significant if seen.p_value is not None else None  # too little was visited twice
-        axes.append(_diagnose_axis(estimate, torques, k, law, found, repeats))
+        axes.append(AxisDiagnosis(robot.names[k], *torques.judge(k), law, found, repeats, signal=estimate.signal))
     large = sum(one.left >= _LEFT or (one.whiteness is not None and one.whiteness.p_value <= _SURE) for one in axes)
     cause = find_copied_reference(robot, records)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
@@ -302,20 +301,3 @@ def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
     """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
     laws = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
     return replace(axis, faults=replace(axis.faults, findings=laws), caused=True)
-
-
-def _diagnose_axis(
-    estimate: Estimate,
-    torques: AxisTorques,
-    axis: int,
-    law: LawOnPosition | None,
-    faults: AxisFaults,
-    repeats: bool | None,
-) -> AxisDiagnosis:
-    """Return the diagnosis of one axis."""
-    inside, whole = torques.seen[axis], float(np.linalg.norm(torques.measured[axis])) or 1.0
-    white = whiteness(torques.error[axis][inside], torques.sample_time, torques.cutoff)
-    return AxisDiagnosis(
-        torques.names[axis], float(np.linalg.norm(torques.error[axis])) / whole, white, law, faults,
-        repeats, signal=estimate.signal,
-    )  # fmt: skip

@@ -27,15 +27,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import FaultsError, JointidError, RecordError
+from jointid.common.errors import FaultsError, JointidError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
-from jointid.diagnostics.changes import Case, Cause, is_small, list_changes
-from jointid.diagnostics.model_free import MEMORY, compare_law, excludes, find_unexplained_share
-from jointid.diagnostics.samples import find_plain_cause, find_steps
+from jointid.diagnostics.changes import OTHER_LAWS, Case, Cause, is_small, list_changes
+from jointid.diagnostics.model_free import (
+    MEMORY,
+    compare_law,
+    excludes,
+    find_plain_cause,
+    find_steps,
+    find_unexplained_share,
+)
 from jointid.diagnostics.suspects import FaultTest, Finding
-from jointid.diagnostics.variants import OTHER_LAWS
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -176,7 +181,7 @@ def explain_misfit(
 def _is_poor_far_below(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
     """Test whether even a rigid joint far below the resonance of a flexible one leaves much, however little is left."""
     declared = Case(record, loop, estimate.settings.filtering)
-    rigid = fit_rigid([declared]) if isinstance(loop.joint, FlexibleJoint) else []
+    rigid = fit_rigid([declared]) if loop.joint.model == "flexible" else []
     return bool(rigid) and rigid[0].error >= _POOR_START
 
 
@@ -244,19 +249,12 @@ def find_causes(
     """Search for the cause of a misfit between a record and the declared drive.
 
     Args:
-        record: with torque and reference.
+        record: with all channels of the loop, of which none is constant.
         loop: as declared.
         estimate: of the joint under it, if there is one: its filter is used, and its error if smaller.
         progress: called with each step.
         free: names of what is identified beside the joint, as the delay; that of the estimate where there is one.
-
-    Raises:
-        RecordError: a channel of the loop is missing, or the torque is 0 in every sample.
     """
-    record.require(loop.channels, "The search for a cause")
-    assert record.torque is not None and record.reference is not None
-    if not np.any(record.torque.values):
-        raise RecordError("The torque is 0 in every sample, which no cause explains; check which column it is.")
     left = math.inf if estimate is None else estimate.fit.filtered_error
     plain = find_plain_cause(record)
     if plain is not None:
@@ -265,8 +263,8 @@ def find_causes(
     if estimate is not None:
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *OF_LOG}
         free = [row.name for row in estimate.rows if row.name in names and not row.of_joint]
-    filtering = filtering.resolve(record.torque.sample_time, loop.joint.model)
     declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
+    declared = replace(declared, filtering=filtering.resolve(declared.torque.sample_time, loop.joint.model))
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
@@ -275,21 +273,19 @@ def find_causes(
     problem, case = (fits[0].problem, fits[0].case) if fits else (_pose(declared, loop), declared)
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
     memory = MEMORY if case.free else MEMORY * max(case.factor or 1.0, 1.0)
-    reference = case.record.reference
-    responses = 0.0
-    if problem is not None and reference is not None:
-        responses = find_unexplained_share(problem, reference.values, memory)
+    responses = 0.0 if problem is None else find_unexplained_share(problem, case.reference.values, memory)
     told = [
-        [Cause(name, words, value, fit.error) for name, words, value in fit.case.change.say(fit.number, declared)]
+        replace(cause, left=fit.error)
         for fit in fits
         if fit.case.change is not None
+        for cause in fit.case.change.say(fit.number, declared)
     ]
     if isinstance(loop.joint, RigidJoint):
-        told += [[one] for one in _judge_motion(declared, loop.joint)]
-        least = min((each[0].left for each in told), default=math.inf)
+        told += _judge_motion(declared, loop.joint)
+        least = min((one.left for one in told), default=math.inf)
         if least > _TWICE * responses and time.process_time() < until:
-            told += [[one] for one in _judge_mode(declared, loop.joint) if one.left * _TWICE <= least]
-    explaining = _explaining(sorted(told, key=lambda each: each[0].left), left, declared)
+            told += (one for one in _judge_mode(declared, loop.joint) if one.left * _TWICE <= least)
+    explaining = _explaining(sorted(told, key=lambda one: one.left), left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
@@ -322,20 +318,19 @@ def _is_excluded(corrected: Case, record: Record, loop: ClosedLoop) -> bool:
     return law is not None and not law.holds
 
 
-def _explaining(told: Sequence[Sequence[Cause]], left: float, declared: Case) -> tuple[Cause, ...]:
+def _explaining(told: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:
     """Return the causes with the smallest residuals; none if they explain too little.
 
     Small changes of a number are attributed to an unmodelled friction or to noise.
     """
-    best = told[0][0] if told else None
-    if best is None or is_small(best, declared):
+    if not told or is_small(best := told[0], declared):
         return ()
     most = (_LEAVES_BY_TIME if best.name == "sample_time" else _LEAVES) * left
     if best.left > min(most, max(_FITS, _CLEARLY * min(left, 1.0))):
         return ()
     found: dict[str, Cause] = {}
-    for one in (one for each in told if each[0].left <= _AS_GOOD * best.left for one in each):
-        if not is_small(one, declared):
+    for one in told:
+        if one.left <= _AS_GOOD * best.left and not is_small(one, declared):
             found.setdefault(one.name, one)
     return tuple(found.values())[:_NAMED]
 
@@ -396,7 +391,7 @@ def fit_cases(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
     What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
     """
     fits = fit_rigid(tried, until)
-    if not isinstance(tried[0].loop.joint, FlexibleJoint):
+    if tried[0].loop.joint.model == "rigid":
         return fits
     least = min((fit.error for fit in fits), default=math.inf)
     near = [fit for fit in fits if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
@@ -405,7 +400,7 @@ def fit_cases(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
 
 def fit_rigid(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
     """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_cases`."""
-    loss = _ROUGHLY if isinstance(tried[0].loop.joint, FlexibleJoint) else 0.0
+    loss = _ROUGHLY if tried[0].loop.joint.model == "flexible" else 0.0
     return _race([_list_rigid_starts(one) for one in tried], until, loss)
 
 
@@ -434,12 +429,11 @@ def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> l
 
 def _list_rigid_starts(case: Case) -> Iterator[Fit]:
     """Yield starts by the inverted controller, and by a motor that follows the reference exactly, at some delays."""
-    for problem in (_pose(case, loop, low=True) for loop in case.loops):
+    for problem in filter(None, (_pose(case, loop, low=True) for loop in case.loops)):
         starts = list[dict[str, float]]()
         with contextlib.suppress(JointidError):
-            starts = [] if problem is None else rigid_starts(problem, ignore_progress)
+            starts = rigid_starts(problem, ignore_progress)
         for values in starts:
-            assert problem is not None
             values["inertia"] = abs(values["inertia"])
             values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
             yield from _delayed(case, problem, values)
@@ -471,11 +465,10 @@ def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -
 def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
     """Return the problem of a case with one of its loops, its number free within wide bounds; None if there is none."""
     around = [one for one in case.beside if one in OF_LOG or one in numbers_of(loop.controller)]
-    filtering, torque = case.filtering, case.record.torque
-    assert torque is not None
+    filtering = case.filtering
     if low and isinstance(loop.joint, FlexibleJoint):
         loop = replace(loop, joint=loop.joint.rigid)
-        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(torque.sample_time)
+        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(case.torque.sample_time)
     try:
         problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)
         problem = problem.keeping({"initial_velocity": 0.0}).freeing(*around, *filter(None, [case.free]))

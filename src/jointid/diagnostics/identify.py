@@ -1,36 +1,52 @@
-"""The verb `identify`: one record, several, or a log too long for memory in; an estimate and its checks out."""
+"""The verb `identify`: one record, several, or a log too long for memory in; an estimate and its checks out.
+
+What the record does not exclude widens the intervals: undeclared elements of the loop, and faults that were found or
+are suspected. An element is a filter of velocity or torque, or a delay. One of size s changes the torque by ``s c``. An
+estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The record bounds s: the score test
+of c beside J gives it with its deviation. The interval holds the shift by the largest s, between 0 and what is usual,
+that is within two deviations.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message, Progress, ignore_progress
-from jointid.common.parallel import one_thread
+from jointid.common.parallel import in_threads, one_thread
 from jointid.common.parameters import Parameter
-from jointid.common.text import join
-from jointid.diagnostics.considered import widen_for_faults, widen_for_undeclared
+from jointid.common.text import join, number
+from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import Diagnosis, Solved, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit
-from jointid.diagnostics.model_free import Agreement, compare_law
-from jointid.diagnostics.samples import find_broken_part, find_lost_samples, find_too_short
+from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
+from jointid.diagnostics.score import INTERVAL, score
 from jointid.diagnostics.search import find_part_of_loop
+from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, AxisFaults, Fault, FaultSignature
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import Check, Checked, Reason, Subject, Widening, assemble, checks_of, skip_test
+from jointid.estimation.problems.simulated import LoopLog, decimate_each
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter
+from jointid.estimation.result.verdict import SLIGHT, Check, Checked, Reason, Subject, Widening, assemble, checks_of, skip_test
 from jointid.estimation.robots.simulated import IdentifiedRobot
+from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.derivatives import respond_to_laws
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
+from jointid.simulation.simulate import Run
+from jointid.uncertainty.covariance import Influence
+from jointid.uncertainty.position_dependent_error import cells
 
 _OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
 
@@ -248,3 +264,127 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
         said = "the declared controllers make the logged torques of the positions"
         checks += checks_of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said))
     return checks, _widen(fit, found), found
+
+
+# What widens the intervals
+
+_USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller
+_MATTERS = 0.25  # of a deviation: less widens no interval
+_TOLD = 1.0  # deviations: what may be off further is said
+
+
+class Element(NamedTuple):
+    """An element that a controller does not declare: half its largest usual size, s, and the controller with it."""
+
+    fault: Fault
+    half: float
+    controller: Controller
+    axis: int = 0
+
+
+def list_undeclared(controller: Any, sample_time: float, axis: int = 0) -> Iterator[Element]:
+    """Yield each usual element that a controller does not declare; `sample_time` is that of the log, s."""
+    if getattr(controller, "undeclared", "none") == "none":
+        return
+    period = controller.period or sample_time
+    half = max(0.5 * _USUAL, period)
+    if controller.velocity_filter == (1.0,):
+        yield Element(VELOCITY_FILTER, half, replace(controller, velocity_filter=FirstOrder(half)), axis)
+    if not controller.torque_filters:
+        yield Element(TORQUE_FILTER, half, replace(controller, torque_filters=(FirstOrder(half),)), axis)
+    if not controller.delay:
+        yield Element(DELAY, 0.5 * period, replace(controller, delay=0.5 * period), axis)
+
+
+def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
+    """Yield the shifts of parameters by undeclared elements that are not excluded.
+
+    Args:
+        fit: of a joint, or of a robot, under controllers.
+        found: its diagnosis; faults that it names are to be corrected, and widen nothing.
+    """
+    torques, part, names = found.torques, fit.robot, list[str]()
+    log: Any = None
+    run: Any = None
+    scales: FloatArray | float = 1.0
+    if fit.problem is not None and fit.x is not None:
+        names, log, (run,) = [p.name for p in fit.problem.free], fit.problem.log, fit.problem.run(fit.x)
+    elif part is not None and part.has_controllers and fit.solved is not None:
+        names, log, (run,) = [*part.parameters.names], fit.solved.problem.log, fit.solved.runs
+        scales = np.where(part.parameters.logarithmic, part.values[: len(part.parameters.places)], 1.0)
+    tried = list[Element]()
+    for k, (driven, axis) in enumerate(zip(() if run is None else run.experiment.axes, found.axes, strict=False)):
+        known = {*names, *(str(one) for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
+        elements = list_undeclared(driven.controller, fit.data.sample_time, k)
+        tried += [one for one in elements if one.fault.name not in known]
+    if torques is None or not tried:
+        return
+    rows = {row.name: row for row in fit.rows if row.stderr}
+    solve = Influence(torques.stack(torques.own), torques.stack(torques.error)).matrix
+    changes = _respond(log, run, tried)
+    sizes = in_threads(lambda one: _largest_size(torques, *one), list(zip(tried, changes, strict=True)))
+    for element, change, largest in zip(tried, changes, sizes, strict=True):
+        by = 0.5 * np.abs(scales * (solve @ torques.stack(change))) * largest / element.half
+        moved = {name: float(one) for name, one in zip(names, by, strict=True) if name in rows}
+        if any(one > _MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
+            what = f"an undeclared {element.fault.title} of up to {number(1e3 * largest, 2)} ms"
+            yield _widening(what, moved, rows, '. Declare it, or set undeclared = "none" in [controller]')
+
+
+def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> Sequence[FloatArray]:
+    """Return the changes of the filtered torques along a run by each element, (n, rows), to first order."""
+    each = run.experiment.axes
+    others = [(one.axis, replace(each[one.axis], law=each[one.axis].law_of(one.controller))) for one in tried]
+    found, direct = respond_to_laws(run, others)
+    for c, (one, own) in enumerate(zip(tried, direct, strict=True)):
+        if not any(log.seen) or log.seen[one.axis] is None:  # else the declared law shows the position
+            found[one.axis][:, c] += own
+    rows = decimate_each(log, found)
+    return list(np.moveaxis(rows.reshape(len(each), -1, len(others)), 2, 0))
+
+
+def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) -> float:
+    """Return the largest size of an element, s, within two deviations of what its axis' residual shows."""
+    axis, own = element.axis, torques.own[element.axis]
+    signature = FaultSignature(replace(element.fault, one_sided=True), change[axis] / element.half)
+    (test,) = score(
+        torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
+        cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
+    )  # fmt: skip
+    return min(max(test.size + 2 * test.std, 0.0), 2.0 * element.half)
+
+
+def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
+    """Yield the shifts of parameters by the faults that a check found or suspects.
+
+    Faults of loop and log that move a parameter by more than a thousandth widen no interval: they are corrected, or
+    not. Where they are excluded, the joint has what looks like them.
+
+    Args:
+        check: of loop and log.
+        rows: of the parameters, by name.
+    """
+    for finding in check.findings:
+        moved = {name: abs(change.by) for name, change in finding.changes.items()}
+        if not finding.test.fault.mechanical:
+            moved = {
+                name: 0.5 * by
+                for name, by in moved.items()
+                if abs(finding.changes[name].sigmas) > INTERVAL and by < SLIGHT * abs(rows[name].value or 0.0)
+            }
+        yield moved, ""
+    for suspect in check.suspected:
+        what = f"what looks like a {suspect.test.fault.title} (p = {number(suspect.test.p_value, 2)})"
+        if suspect.law is not None:
+            what = f"that {suspect.law.words}, which this record does not exclude,"
+        yield _widening(what, {name: abs(one.by) for name, one in suspect.changes.items()}, rows, "")
+
+
+def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedParameter], remedy: str) -> Widening:
+    """Return the shifts of parameters, each as one deviation, and the sentence on those that are large."""
+    off = [
+        f"{row.symbol} by {number(2 * by[name], 2)} {row.unit}".rstrip()
+        for name, row in rows.items()
+        if by.get(name, 0.0) > _TOLD * (row.stderr or 0.0)
+    ]
+    return dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else ""

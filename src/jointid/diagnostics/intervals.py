@@ -73,7 +73,8 @@ def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProbl
         method = estimate.settings.method.upper()
         raise MethodError(f"Only DIDIM simulates a loop that can be followed; received an estimate by {method}.")
     estimate.require_values()
-    record = take_identified_torque(estimate, record)
+    if "motor_position" in estimate.data.channels and not record.computed:  # its torque was computed from that
+        record = compute_controller_torque(record, loop)
     record.require(("torque",), "The estimate")
     if record.torque is not None and (fingerprint(record.torque.values),) != estimate.data.fingerprints:
         other = f"The estimate is from {estimate.data.record}, and {record.name} has another torque: give its record."
@@ -83,14 +84,6 @@ def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProbl
     problem = problem.freeing(*(name for name in values if name not in problem.units))
     problem = problem.keeping({p.name: values[p.name] for p in estimate.rows if not p.free})
     return problem, problem.vector(values)
-
-
-def take_identified_torque(estimate: Estimate, record: Record) -> Record:
-    """Return a record with the torque that an estimate was identified from: logged, or computed from the position."""
-    read, loop = estimate.data.channels, estimate.settings.loop
-    if loop is None or "motor_position" not in read or record.computed:
-        return record
-    return compute_controller_torque(record, loop)
 
 
 def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:

@@ -234,15 +234,13 @@ def compare_laws(
     didim: DIDIM | None,
     progress: Progress,
 ) -> LawComparison:
-    """Identify a joint with every law of its spring or friction.
+    """Identify a joint, a flexible one where springs are compared, with every law of its spring or friction.
 
     Raises:
-        MethodError: the joint has no such law, or the simplest law is not identified.
+        MethodError: the simplest law is not identified.
     """
     joint: Any = loop.joint
     settings, given = didim or DIDIM(), dict(parameters or {})
-    if kind == "spring" and joint.model == "rigid":
-        raise MethodError('A rigid joint has no spring: declare it with model = "flexible" to compare springs.')
     settings.require_settings_of(joint.model)
     check_record(record)
     adjust_parameters(joint.parameters, given)  # which refuses names that it does not have

@@ -6,14 +6,24 @@ with a tenth of that (`score`). Those that are nearly as likely by the likelihoo
 A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
 law makes the logged torque of a logged motor position, faults of law and log that it excludes are not named.
 
+Each other law of the drive is screened first: one simulation under it at the same joint shows what it changes. Two laws
+are distinguished by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again under the
+other law, and the residual is regressed on the change of the fit. The coefficient is 0 under the declared law and 1
+under the other one. A record may exclude neither. So all laws that it allows are compared, and the likeliest is chosen;
+of equals the plainest. One that moves a parameter out of its interval without being excluded is undecided.
+
 Of a robot each fault adds a column to the torque of one axis, or of all of them. A wrong scale or a delay of one log
 shows by the other joints, which share the inertias of the links. So the rows of all joints are regressed together, each
 joint by the size of its error.
 """
 
+from __future__ import annotations
+
+import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,35 +31,43 @@ from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import number
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.model_free import LawOnPosition
-from jointid.diagnostics.score import LEVEL, RARER, score
-from jointid.diagnostics.search_state import MOST, Tested
+from jointid.diagnostics.changes import (
+    AVERAGED,
+    INTERPOLATIONS,
+    MEASURED_VELOCITY,
+    OF_REFERENCE,
+    OTHER_LAWS,
+    PERIOD,
+    PRESENT_SAMPLE,
+    WHOLE,
+    average,
+    list_variants,
+)
+from jointid.diagnostics.model_free import excludes
+from jointid.diagnostics.score import INTERVAL, LEVEL, RARER, RIVAL, Tested, score
 from jointid.diagnostics.suspects import (
     LIMIT,
     LOG_GAIN,
+    REFERENCE_DELAY,
     AxisFaults,
     FaultSignature,
     FaultTest,
     Finding,
-    state_part,
-)
-from jointid.diagnostics.variants import (
-    OTHER_LAWS,
-    WHOLE,
-    choose_law,
-    find_other_law,
-    find_undecided,
-    test_laws,
+    OtherLaw,
 )
 from jointid.estimation.descent import descend, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.controllers import with_numbers
+from jointid.estimation.result.verdict import Reason
+from jointid.models.controllers import numbers_of, with_numbers
 from jointid.records.record import Record
 from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
 from jointid.uncertainty.position_dependent_error import cells
 
+MOST = 3
+"""Faults of one axis, at most."""
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
@@ -69,30 +87,19 @@ _MOST_OF_IT = 0.5  # of the blocks of a part
 # Of a joint
 
 
-def search_faults(
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    std: Mapping[str, float] | None = None,
-    record: Record | None = None,
-    law: LawOnPosition | None = None,
-    *,
-    most: int = MOST,
-) -> AxisFaults:
+def search_faults(begun: Tested, most: int = MOST) -> AxisFaults:
     """Return the faults of a joint, its loop and its log.
 
     Args:
-        problem: with the identified parameters free; those are not tested.
-        x: (free,) its solution.
-        std: standard errors of the joint's parameters by name, in which shifts are given.
-        record: of the problem; without it a drive that runs faster than the log is not searched for.
-        law: what the declared law leaves of the torque along the record's motor position; None without one.
+        begun: its solved problem; the identified parameters are free, and are not tested.
         most: faults named at most, one after another.
     """
+    problem = begun.problem
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
-    if np.linalg.norm(problem.residual(x)) > exact:  # a rigid joint's DIDIM ends near the least squares, not on them
-        x = descend(problem, x, _TOLERANCE).x
-    proved = problem.loop if law is not None and law.holds else None
-    begun = found = Tested(problem, np.asarray(x, dtype=np.float64), std or {}, record, proved)
+    # A rigid joint's DIDIM ends near the least squares, not on them.
+    if np.linalg.norm(problem.residual(begun.x)) > exact:
+        begun = replace(begun, x=descend(problem, begun.x, _TOLERANCE).x)
+    found = begun
     findings, suspected = list[Finding](), list[Finding]()
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
         laws = test_laws(found)
@@ -116,33 +123,31 @@ def search_faults(
         findings, suspected, found = [], [], begun
     joint, explained = problem.loop.joint, None
     if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
-        before, after = problem.residual(x), found.problem.residual(found.x)
+        before, after = begun.residual, found.problem.residual(found.x)
         explained = 1.0 - float(after @ after) / float(before @ before)
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
-    return AxisFaults(
-        tuple(findings), begun.tests,
-        units, suspected=tuple(suspected), part=part, explained=explained,
-    )  # fmt: skip
+    return AxisFaults(tuple(findings), begun.tests, units, tuple(suspected), part, explained)
 
 
 def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
     """Return a test as a finding, with what nearly as likely ones would shift, and the problem with it corrected."""
-    after, rivals = _correct(found, test), found.list_rivals(test)
-    values, changes = after.values, found.shifts_to(after.values)
+    (after, values), rivals = _correct(found, test), found.list_rivals(test)
+    changes = found.shifts_to(values)
     for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
-        beside = found.shifts_to(_correct(found, one).values)
+        beside = found.shifts_to(_correct(found, one)[1])
         changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
     if len(after.corrected) > len(found.corrected):
         left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
-        return Finding(test, None, rivals, changes, left=left if after.beside else None), after
+        in_joint = values.keys() != after.problem.units.keys()
+        return Finding(test, None, rivals, changes, left=left if in_joint else None), after
     if test.fault is LIMIT:
         return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
     test = replace(test, size=values[test.name] - test.declared)
     return Finding(test, values[test.name], rivals, changes), after
 
 
-def _correct(found: Tested, test: FaultTest) -> Tested:
-    """Return the problem with a fault corrected, solved again.
+def _correct(found: Tested, test: FaultTest) -> tuple[Tested, Mapping[str, float]]:
+    """Return the problem with a fault corrected, solved again, and all parameters by name, also of a law that has it.
 
     The parameter of the fault is freed. A fault without one is subtracted from the torque, and its column joins
     those of the joint, so that the error of its size does not mislead later tests.
@@ -150,11 +155,12 @@ def _correct(found: Tested, test: FaultTest) -> Tested:
     problem, fault = found.problem, test.fault
     signature = next(a for a in found.signatures if (a.fault, a.shape) == (fault, test.shape))
     named = (*found.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
-    held = replace(found, corrected=(*found.corrected, signature), named=named, beside={})
+    held = replace(found, corrected=(*found.corrected, signature), named=named)
     if signature.raw is not None and fault is not LIMIT:
-        change, values = _search_law(found, signature) or (test.size * signature.raw, {})
+        change, beside = _search_law(found, signature) or (test.size * signature.raw, {})
         problem = problem.with_log(measured=problem.log.measured - change[:, np.newaxis])
-        return replace(held, problem=problem, x=descend(problem, found.x, _TOLERANCE).x, beside=values)
+        x = descend(problem, found.x, _TOLERANCE).x
+        return replace(held, problem=problem, x=x), {**problem.values(x), **beside}
     start = test.declared + test.size
     if fault is LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
@@ -165,13 +171,13 @@ def _correct(found: Tested, test: FaultTest) -> Tested:
         x = descend(wider, wider.vector(problem.values(found.x) | {test.name: start}), _TOLERANCE).x
         wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
-        return held
+        return held, problem.values(found.x)
     reached = wider.values(x)[test.name] - test.declared
     astray = fault is not LIMIT and reached * test.size < _HALF * test.size**2
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
-        return held
-    return replace(held, problem=wider, x=x, corrected=found.corrected)
+        return held, problem.values(found.x)
+    return replace(held, problem=wider, x=x, corrected=found.corrected), wider.values(x)
 
 
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
@@ -198,6 +204,147 @@ def _search_law(found: Tested, signature: FaultSignature) -> tuple[FloatArray, M
     return (change, other.values(end.x)) if smaller else None
 
 
+# Other laws
+
+_SOLVED = 1e-6  # far below a deviation
+_EXCLUDED = 2.0  # deviations: a law so far away is excluded
+_BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
+_AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
+_SELDOM = (MEASURED_VELOCITY, AVERAGED)  # those that are tried only where they are significant
+_OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are said where a record does not exclude them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawTest:
+    """Solution under another law, and its test: size 0 is the declared law, size 1 the other one.
+
+    Attributes:
+        law: that was tried. problem, x: a solved problem under it, and (free,) its solution.
+        gain: decrease of the squared norm of the residual from the declared law to this one.
+    """
+
+    law: OtherLaw
+    problem: ClosedLoopProblem
+    x: FloatArray
+    test: FaultTest
+    gain: float
+
+    @property
+    def possible(self) -> bool:
+        """Whether the record does not exclude the other law, or a rate near it."""
+        roughly = _BETWEEN_RATES if self.test.fault is PERIOD else 0.0
+        return 1 - self.test.size <= max(_EXCLUDED * self.test.std, roughly)
+
+    @property
+    def likelihood(self) -> float:
+        """Twice the logarithm of the likelihood ratio to the declared law."""
+        return (2 * self.test.size - 1) / self.test.std**2
+
+    def explains(self, found: Tested) -> bool:
+        """Whether the record excludes the declared law, and no fault explains it better."""
+        test = self.test
+        if not self.possible or test.size <= 0 or test.p_value > LEVEL:
+            return False
+        return self.likelihood >= max((one.strength**2 for one in found.tests), default=0.0) - RIVAL
+
+    def leaves_as_little(self, other: LawTest) -> bool:
+        """Whether the other law leaves hardly less, by its own noise."""
+        return other.gain > 0 and (other.gain - self.gain) * other.likelihood <= RIVAL * other.gain
+
+    def as_likely(self, best: LawTest) -> bool:
+        """Whether the likeliest law is not far likelier.
+
+        The residuals are compared by the variance of its test: each law has its own spectrum of the noise in its test,
+        so two likelihoods differ even where two laws leave the same residual.
+        """
+        return self.likelihood >= best.likelihood - RIVAL or self.leaves_as_little(best)
+
+
+def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
+    """Return the likeliest law; of those that differ in what they make of the reference the one that leaves least.
+
+    None if no law of the reference leaves less than the declared one, however likely the tests of them make it. Many
+    of these are alike: of those that leave nearly as little the plainest comes first in the list.
+    """
+    likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
+    if likeliest is None or likeliest.test.fault not in OF_REFERENCE:
+        return likeliest
+    likely = [one for one in explaining if one.test.fault in OF_REFERENCE and one.as_likely(likeliest)]
+    best = max(likely, key=lambda one: one.gain)
+    return next((one for one in likely if one.leaves_as_little(best)), None)
+
+
+def test_laws(found: Tested) -> list[LawTest]:
+    """Return the tests of other laws that are not named already, and that nothing excludes."""
+    tests: list[LawTest] = []
+    problem, x, record = found.problem, found.x, found.record
+    if record is None:
+        return tests
+    law = problem.loop.controller
+    fixed = not numbers_of(law).keys() & {p.name for p in problem.free}  # a free number may stand for any law
+    for first, *others in list_variants(law, record, problem.sample_time, problem.axis.law.period):
+        kin = OF_REFERENCE if first.fault is AVERAGED else (first.fault,)
+        if {one.name for one in kin} & {*found.named} or not (fixed or first.fault.name in WHOLE):
+            continue
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
+            moved = found.residual - problem.under(first.controller, record).residual(x)
+            step, start = found.test_law(first.fault, moved), x
+            possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST
+            if not (step.p_value <= LEVEL if first.fault in _SELDOM else possible):
+                continue
+            for other in _list_late(problem, x) if first.fault is AVERAGED else (first, *others):
+                one = _test_law(found, other, record, start)
+                if one is None or (other.fault is PERIOD and not one.possible):
+                    break
+                start = one.x
+                if found.proved is None or not excludes(record, found.proved, other.controller):
+                    tests.append(one)
+    return tests
+
+
+def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
+    """Return the averaged and the delayed reference, of the time by which the reference is late."""
+    law: Any = problem.loop.controller
+    wider, period = problem.freeing(REFERENCE_DELAY.name), float(problem.axis.law.period)
+    late = wider.values(descend(wider, wider.vector(problem.values(x)), _SOLVED).x)[REFERENCE_DELAY.name]
+    words = f"the law sees the reference {number(1e3 * late, 3)} ms late"
+    delayed = OtherLaw(REFERENCE_DELAY, words, f"reference_delay = {late:.4g}", replace(law, reference_delay=late))
+    return average(law, period * max(round(2.0 * (late - law.reference_delay) / period + 1.0), 2)), delayed
+
+
+def _test_law(found: Tested, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
+    """Return the test of another law by the joint that is identified under it; None where it changes nothing."""
+    other = found.problem.under(law.controller, record)
+    x = descend(other, start, _SOLVED).x
+    left = other.residual(x)
+    test = found.test_law(law.fault, found.residual - left)
+    return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None
+
+
+def find_other_law(found: Tested, other: LawTest, alike: Sequence[LawTest] = ()) -> Finding:
+    """Return another law as a finding, with its shifts and equally likely laws."""
+    left = other.problem.filtered_error(other.problem.residual(other.x))
+    others = tuple(one.law for one in sorted(alike, key=lambda one: -one.likelihood))
+    value, shifts = 1 / other.law.rate if other.law.rate else None, found.shifts_to(other.problem.values(other.x))
+    return Finding(other.test, value, found.list_rivals(other.test), shifts, other.law, left, others)
+
+
+def find_undecided(found: Tested, tests: Sequence[LawTest]) -> list[Finding]:
+    """Return the law that the record does not exclude and that shifts a parameter farthest; none within an interval.
+
+    Of rates it is one that no other excludes. The shift of stiffness or inertia counts first.
+    """
+    moving = list[tuple[float, float, Finding]]()
+    for one in (one for one in tests if one.possible and one.test.fault in _OPEN):
+        kin = (other for other in tests if other.test.fault == one.test.fault)
+        if one.as_likely(max(kin, key=lambda other: other.likelihood)):
+            finding = find_other_law(found, one)
+            sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
+            asked, most = sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
+            moving += [(asked, most, finding)] if most > INTERVAL else []
+    return [one for *_, one in sorted(moving, key=lambda one: one[:2])[-1:]]
+
+
 # Of a robot
 
 
@@ -209,7 +356,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
         units: of position and torque, of each axis.
     """
     rows, own, residual = torques.rows, torques.stack(torques.own), torques.stack(torques.error)
-    own, every = own[:, np.any(own, axis=0)], range(len(torques.names))
+    own, every = own[:, np.any(own, axis=0)], range(len(torques.measured))
     shapes = [replace(one, axis=k, column=torques.place(k, one.column)) for k in every for one in torques.shapes[k]]
     if len(every) > 1:
         shapes += [FaultSignature(LOG_GAIN, torques.place(k, torques.predicted[k]), axis=k) for k in every]
@@ -295,7 +442,14 @@ def find_part(residual: FloatArray, time: FloatArray) -> Message | None:
     part = squares[first:last]
     if np.mean(part) < least or np.mean(part > least) <= _MOST_OF_IT:
         return None
-    return state_part(float(time[first * size]), float(time[last * size - 1]), float(within[best] / ends[-1]))
+    begins, stops, share = float(time[first * size]), float(time[last * size - 1]), float(within[best] / ends[-1])
+    clause = f"from {number(begins, 3)} to {number(stops, 3)} s the torque does not follow the model"
+    words = (
+        f"{clause}: {number(100 * share, 2)} % of the squares of the residual are there, and no known fault explains "
+        "them, as where something touches the joint; leave that out by record.start and record.stop (times count from "
+        "the first sample that was read)"
+    )
+    return Message(Reason.MISFIT_IN_PART, words, {"begin": begins, "end": stops, "share": share}, clause)
 
 
 def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Message | None:

@@ -64,7 +64,8 @@ class Seen:
         return {}
 
     @cached_property
-    def _plain(self) -> FloatArray:
+    def plain(self) -> FloatArray:
+        """The torque of a loop, (samples,)."""
         return np.zeros(0) if self.loop is None else self.loop[0].torque(self.loop[1])
 
     @cached_property
@@ -83,7 +84,12 @@ class Seen:
     @property
     def is_flexible(self) -> bool:
         """Test whether the axis is a loop with a spring."""
-        return self.loop is not None and isinstance(self.loop[0].joint, FlexibleJoint)
+        return self.loop is not None and self.loop[0].joint.model == "flexible"
+
+    @property
+    def is_plain(self) -> bool:
+        """Test whether it is a flexible joint of symmetric friction, in whose place there may be another."""
+        return self.loop is not None and self.is_flexible and self.loop[0].joint.friction == Friction()
 
     def vary(self, values: Mapping[str, float], size: float, **laws: Spring | Friction) -> FloatArray | None:
         """Return the change of a flexible joint's torque by other laws of it, per unit of a size.
@@ -108,19 +114,9 @@ class Seen:
             faulty = require_success(other.simulate(start))
         except JointidError:  # a loop that is unstable with it is not that of the record
             return None
-        raw = (faulty.torque - self._plain) / size
+        raw = (faulty.torque - self.plain) / size
         self.trials[id(raw)] = other, start
-        return raw if np.all(np.abs(size * raw) < _WILD * float(np.max(np.abs(self._plain)))) else None
-
-    def limited(self, level: float) -> FloatArray | None:
-        """Return the change of the torque by a limit of the output; None where there is none to change."""
-        if self.loop is None:
-            return np.asarray(np.sign(self.asked) * np.maximum(np.abs(self.asked) - level, 0.0))
-        problem, x = self.loop
-        taken = not hasattr(problem.loop.controller, "limit") or any(p.name == "limit" for p in problem.free)
-        if taken or not level < problem.axis.law.limit:
-            return None
-        return problem.torque(x, lambda e: replace(e, law=e.law.with_limit(level))) - problem.torque(x)
+        return raw if np.all(np.abs(size * raw) < _WILD * float(np.max(np.abs(self.plain)))) else None
 
 
 def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, own: FloatArray) -> Seen:

@@ -8,7 +8,7 @@ a large one is in `changes`. To add one, write its columns, and its row.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction
-from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring, swinging_part
 from jointid.uncertainty.model_tests import fit_whitener
 
@@ -45,9 +44,6 @@ _STEP = 1e-4  # of the known signal
 VISCOUS, COULOMB = 1.0, 0.0
 """Shapes of a friction that changes over the record."""
 
-Measure: TypeAlias = Literal["", "%", "ms", "torque", "position", "level"]
-"""Unit in which a sentence shows the size of a fault: none, or that its level is shown, as a torque."""
-
 
 @dataclass(frozen=True, slots=True)
 class Fault:
@@ -65,7 +61,8 @@ class Fault:
         mechanical: whether it is a fault of the joint's model, not of loop or log.
         last: whether it is named only where no other fault is collinear.
         kin: group of faults of the model that describe one effect; after one is found, the others are not tested.
-        measure: unit of its size.
+        measure: unit in which a sentence shows its size: none, "%", "ms", "torque" or "position"; "level" shows its
+            level, as a torque.
         reason: code of the verdict.
     """
 
@@ -80,7 +77,7 @@ class Fault:
     mechanical: bool = False
     last: bool = False
     kin: str = ""
-    measure: Measure = ""
+    measure: str = ""
     reason: Reason = Reason.LOOP_NOT_AS_DECLARED
 
     @property
@@ -231,17 +228,6 @@ class Finding:
     alike: tuple[OtherLaw, ...] = ()
 
 
-def state_part(begin: float, end: float, share: float) -> Message:
-    """Return the message on a part of the time, s, that has this share of the squares of a residual."""
-    clause = f"from {number(begin, 3)} to {number(end, 3)} s the torque does not follow the model"
-    words = (
-        f"{clause}: {number(100 * share, 2)} % of the squares of the residual are there, and no known fault explains "
-        "them, as where something touches the joint; leave that out by record.start and record.stop (times count from "
-        "the first sample that was read)"
-    )
-    return Message(Reason.MISFIT_IN_PART, words, {"begin": begin, "end": end, "share": share}, clause)
-
-
 @dataclass(frozen=True, slots=True)
 class AxisFaults:
     """Faults of one axis that were found, and the tests of all.
@@ -355,9 +341,19 @@ def _scale_injected(seen: Seen) -> Columns:
 
 
 def _limit(seen: Seen) -> Columns:
-    """Yield the whole change of the torque by lower limits, so that size 1 is the limit."""
-    for level in (share * float(np.max(np.abs(seen.asked))) for share in _LEVELS):
-        yield level, seen.limited(level)
+    """Yield the whole change of the torque by lower limits of the output, so that size 1 is the limit."""
+    levels = [share * float(np.max(np.abs(seen.asked))) for share in _LEVELS]
+    if seen.loop is None:
+        yield from ((one, np.sign(seen.asked) * np.maximum(np.abs(seen.asked) - one, 0.0)) for one in levels)
+        return
+    problem, x = seen.loop
+    if not hasattr(problem.loop.controller, "limit") or any(p.name == "limit" for p in problem.free):
+        return
+
+    def limit(by: float) -> FloatArray:
+        return problem.torque(x, lambda e: replace(e, law=e.law.with_limit(by))) - seen.plain
+
+    yield from ((one, limit(one)) for one in levels if one < problem.axis.law.limit)
 
 
 def _saturate(seen: Seen) -> Columns:
@@ -390,7 +386,7 @@ def _cog(seen: Seen) -> Columns:
     position against a force shows the force nearly as it is. The likeliest periods are then simulated.
     """
     travel = float(np.ptp(seen.position))
-    if seen.loop is None or not isinstance(joint := seen.loop[0].joint, FlexibleJoint) or joint.stepped or not travel:
+    if seen.loop is None or not seen.is_flexible or seen.loop[0].joint.stepped or not travel:
         return
     problem, basis = seen.loop[0], orthonormal_basis(seen.own, _RANK)
     position, way = seen.position[problem.kept], np.sign(seen.velocity[problem.kept])
@@ -480,15 +476,9 @@ def _under_load(seen: Seen) -> Columns:
     """Yield a friction that grows with the torque through the gear."""
     if seen.has_linear_friction:
         yield None, seen.force(-np.abs(seen.through) * np.sign(seen.velocity))
-    law = Friction("load-dependent")
-    if _can_have(law, seen):
+    if seen.is_plain:
+        law = Friction("load-dependent")
         yield _OF_LOAD, seen.vary({"load_friction_per_torque": _LOSS}, _LOSS, friction=law)
-
-
-def _can_have(law: Friction, seen: Seen) -> bool:
-    """Test whether another law can replace the symmetric friction of a flexible joint."""
-    joint = seen.loop[0].joint if seen.loop is not None and seen.is_flexible else None
-    return joint is not None and joint.friction == Friction()
 
 
 def _over_time(seen: Seen) -> Columns:
@@ -498,7 +488,7 @@ def _over_time(seen: Seen) -> Columns:
         yield VISCOUS, seen.force(gone * seen.velocity)
         yield COULOMB, seen.force(gone * np.sign(seen.velocity))
     law, duration = Friction("drifting"), seen.sample_time * seen.velocity.size
-    sides = ("motor_", "load_") if _can_have(law, seen) else ()
+    sides = ("motor_", "load_") if seen.is_plain else ()
     still = {f"{side}{part}_drift": 0.0 for side in sides for part in PARTS}
     for part, shape in zip(PARTS if sides else (), (VISCOUS, COULOMB), strict=False):
         falls = {f"{side}{part}_drift": -_LOST * seen.values[f"{side}{part}"] / duration for side in sides}
@@ -512,8 +502,9 @@ def _by_direction(seen: Seen) -> Columns:
 
 def _other_spring(laws: Sequence[str], seen: Seen) -> Columns:
     """Yield springs of other laws for a flexible joint's linear one, at their starts."""
-    joint, values = None if seen.loop is None else seen.loop[0].joint, seen.values
-    if not isinstance(joint, FlexibleJoint) or not joint.spring.linear or seen.windup == 0.0:
+    joint: Any = seen.loop[0].joint if seen.loop else None
+    values = seen.values
+    if not seen.is_flexible or not joint.spring.linear or seen.windup == 0.0:
         return
     for law in map(Spring, laws):
         if law.name == "elastic-load":

@@ -97,8 +97,8 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
         own = experiment.axes[j]
         path, speed, law = clock.own(j, position[:, j], own.periods), float(experiment.speeds[j]), own.law
         before, after = (run_law(one.law, *along(one.law, one.inputs, path, speed)) for one in (own, other))
-        late = (other.law.delay - law.delay) / law.period
-        pushed = (1.0 - late) * after + late * np.append(after[0], after[:-1]) - before
+        late, acts = (other.law.delay - law.delay) / law.period, after + own.after_limit
+        pushed = (1.0 - late) * acts + late * np.append(acts[0], acts[:-1]) - own.after_limit - before
         of_output = np.arange(law.limits.size) == law.output
         explicit.append((column, j, np.outer(pushed, of_output), np.zeros(law.limits.size)))
         shown = (to_log(one, of + one.shown) for one, of in ((own, before), (other, after)))

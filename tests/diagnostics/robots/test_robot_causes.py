@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.diagnostics.changes import Cause
+from jointid.diagnostics.changes import AVERAGED, Cause
 from jointid.diagnostics.diagnosis import Diagnosis, _wait_for_cause, diagnose_robot
 from jointid.diagnostics.robot_causes import find_robot_cause
 from jointid.diagnostics.search import explained_share
 from jointid.diagnostics.suspects import LOG_GAIN, FaultTest, Finding
-from jointid.diagnostics.variants import AVERAGED
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
