@@ -293,11 +293,9 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
         torque.insert(0, Cause("torque_constant", said, factor))
     reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)]
     law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
-    apart = case.record.injected is not None
-    yield from reference if unit and not (apart and of_torque) else ()
-    yield from torque if of_torque or not apart else ()
-    yield from law if not (apart and of_torque) else ()
-    yield from reference if not unit and not (apart and of_torque) else ()
+    for causes in (reference, torque, law) if unit else (torque, law, reference):
+        if case.record.injected is None or (causes is torque) is of_torque:
+            yield from causes
 
 
 def _gear_ratio(loop: ClosedLoop) -> float:

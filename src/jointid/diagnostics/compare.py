@@ -129,7 +129,8 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any]) -> EstimateComp
                     f"A and B are not of the same system: the {what} is {one} in A and {there.get(what)} in B; "
                     "identify both with the same file and options."
                 )
-        same = not _fingerprints(before).isdisjoint(_fingerprints(after))
+        records = [{*map(str, one["data"]["fingerprints"])} for one in both]  # of the torques; none of a long log
+        same = not records[0].isdisjoint(records[1])
         sums = [_sums(one) for one in both]
         parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
         rows = [_compare(name, a.get(name), b.get(name), same) for a, b in parts for name in dict.fromkeys((*a, *b))]
@@ -153,11 +154,6 @@ def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
     said = {"model": system["model"], "kind": system["kind"], "friction law": system["friction"]["name"]}
     side = "none" if gear is None else f"{gear['side']} side, {gear['motor_per_load']:g} motor per load"
     return said | {"transmission": side, "torque unit": unit}
-
-
-def _fingerprints(answer: Mapping[str, Any]) -> set[str]:
-    """Return the fingerprints of the torque of each record; none of a long log."""
-    return {*map(str, answer["data"]["fingerprints"])}
 
 
 def _quantities(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -261,21 +261,17 @@ def compare_laws(
     first = identify(simple, filtering or Filtering())
     if joint.model == "flexible":
         settings = replace(settings, frequency=FlexibleJoint.frequencies(first.values)["free_free"])
-    line = judge(first, simple)
-
-    def judge_law(law: Spring | Friction | None) -> Iterator[JudgedLaw]:
-        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # what is not identified is left out
-            if law is None:
-                yield judge(Solved(*fit_rigid(first.problem, first.values)), law)
-            else:
-                yield line if law == simple else judge(identify(law, first.problem.filtering), law)
-
+    line, judged = judge(first, simple), list[JudgedLaw]()
     made = SPRINGS.values() if kind == "spring" else FRICTIONS.values()
     laws: list[Spring | Friction | None] = [None] if kind == "spring" else []
     laws += sorted(made, key=lambda one: len(_parameters(joint, one)))
-    bar = follow(laws, progress, f"comparing {kind}s", len(laws), "laws")
-    judged = rank([one for law in bar for one in judge_law(law)])
-    return LawComparison(kind, record.name, judged, getattr(joint, kind).name, joint.transmission)
+    for law in follow(laws, progress, f"comparing {kind}s", len(laws), "laws"):
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # what is not identified is left out
+            if law is None:
+                judged.append(judge(Solved(*fit_rigid(first.problem, first.values)), law))
+            else:
+                judged.append(line if law == simple else judge(identify(law, first.problem.filtering), law))
+    return LawComparison(kind, record.name, rank(judged), getattr(joint, kind).name, joint.transmission)
 
 
 def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:
