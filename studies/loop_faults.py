@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.diagnostics.score import Tested, rank_tests
+from jointid.diagnostics.score import SolvedLoop, rank_tests
 from jointid.diagnostics.search import search_faults
 from jointid.estimation.descent import descend
 from jointid.uncertainty.covariance import Influence
@@ -21,7 +21,7 @@ def name_first(seed: int, loop: Loop, noise: Noise, fault: str) -> str:
     """Return what is named first where there is a fault, or `NOTHING`; nothing is solved again, which costs less."""
     where = setting(loop)
     made = problem(where, None if fault == NOTHING else on(loop, fault), noise, seed)
-    top = rank_tests(search_faults(Tested(made, solved(made, where, 1e-4)), most=0).tests, _LEVEL)[0]
+    top = rank_tests(search_faults(SolvedLoop(made, solved(made, where, 1e-4)), most=0).tests, _LEVEL)[0]
     return top.name if top.p_value <= _LEVEL else NOTHING
 
 
@@ -34,7 +34,7 @@ def judge_pair(seed: int, pair: str) -> dict[str, list[str]]:
     """Return the two faults that there are on loop L19 with a force in it, and what is named, two at most, in order."""
     where = setting("L19")
     made = problem(where, on("L19", pair), "disturbance", seed)
-    found = search_faults(Tested(made, solved(made, where, 1e-4)), most=2).findings
+    found = search_faults(SolvedLoop(made, solved(made, where, 1e-4)), most=2).findings
     return {"faults": pair.split(", "), "named": [one.test.name for one in found]}
 
 
@@ -70,4 +70,4 @@ def is_flagged(seed: int, noise: Noise) -> bool:
     """Return whether something is named where the same loop is wrong, not free, and an offset is not declared."""
     where = setting("L19")
     made = problem(where, Fault(line_7, offset=True), noise, seed)
-    return not search_faults(Tested(made, solved(made, where))).as_declared
+    return not search_faults(SolvedLoop(made, solved(made, where))).as_declared

@@ -9,7 +9,7 @@ import pytest
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.identify import widen_for_faults
-from jointid.diagnostics.score import Tested
+from jointid.diagnostics.score import SolvedLoop
 from jointid.diagnostics.search import search_faults
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import (
@@ -201,7 +201,7 @@ def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed
     run = posed.simulate(x)
     force = find_force(posed, x, run, posed.measured - run.torque)
     assert force is not None and 0.003 < force.noise < 0.005
-    check = search_faults(Tested(posed, x), most=1)
+    check = search_faults(SolvedLoop(posed, x), most=1)
     assert [one.test.name for one in check.findings] == ["load_dependent_friction"]
 
 
@@ -210,7 +210,7 @@ def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed
 def test_a_load_friction_on_either_side_is_in_the_interval(seed: int) -> None:
     """With the load's friction alone the stiffness changed by 0.2 and 1.2 %; it is 6 and 11 % too large."""
     posed, x = solve_geared(geared(seed, 0.002, gear=0.1))
-    check = search_faults(Tested(posed, x), most=1)
+    check = search_faults(SolvedLoop(posed, x), most=1)
     assert [one.test.name for one in check.findings] == ["load_dependent_friction"]
     assert check.tests[0].size == pytest.approx(0.1, abs=0.02)
     assert -0.2 < check.findings[0].changes["stiffness"].by / GEARED["stiffness"] < -0.05

@@ -7,7 +7,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.diagnostics.score import Tested, rank_tests, score
+from jointid.diagnostics.score import SolvedLoop, rank_tests, score
 from jointid.diagnostics.search import search_faults
 from jointid.diagnostics.suspects import FaultSignature, FaultTest, number_fault
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -40,7 +40,7 @@ SIZES = {
 def test_one_fault_is_named_and_measured(fault: str) -> None:
     where = setting("L19", brief=fault != "limit")  # which a long record measures to a thousandth
     made = problem(where, FAULTS[fault], "disturbance", 1)
-    check = search_faults(Tested(made, solved(made, where)), most=1)
+    check = search_faults(SolvedLoop(made, solved(made, where)), most=1)
     first = check.findings[0]
     assert first.test.name == fault
     assert not check.as_declared
@@ -54,7 +54,7 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
 def test_a_clean_record_is_as_declared() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, "disturbance", 1)
-    check = search_faults(Tested(made, solved(made, where)))
+    check = search_faults(SolvedLoop(made, solved(made, where)))
     assert check.as_declared
     assert str(check.reasons[0]).startswith("loop and log are as declared as far as this record shows (")
     alike = next(s for s in check.tests if s.name == "velocity_gain")
@@ -65,7 +65,7 @@ def test_a_stribeck_friction_looks_like_its_column() -> None:
     where = setting("L19", brief=True)
     clean = problem(where, None, None)
     x = clean.vector(where.truth)
-    columns = [a for a in Tested(clean, x).signatures if a.fault.name == "stribeck"]
+    columns = [a for a in SolvedLoop(clean, x).signatures if a.fault.name == "stribeck"]
     nearest = min(columns, key=lambda a: abs((a.shape or 0.0) - 5e-3))
     faulty = problem(where, FAULTS["stribeck"], None)
     shown = clean.filter(faulty.measured - clean.measured)
@@ -77,7 +77,7 @@ def test_a_stribeck_friction_looks_like_its_column() -> None:
 def test_what_is_free_is_not_suspected() -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["delay"], "white", 1).freeing("delay")
-    check = search_faults(Tested(made, solved(made, where)))
+    check = search_faults(SolvedLoop(made, solved(made, where)))
     assert check.as_declared
     assert "delay" not in {s.name for s in check.tests}
 

@@ -25,7 +25,7 @@ from jointid.diagnostics.changes import OTHER_LAWS, Cause
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
-from jointid.diagnostics.score import Tested
+from jointid.diagnostics.score import SolvedLoop
 from jointid.diagnostics.search import MOST, search_axes, search_faults
 from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -240,7 +240,7 @@ def diagnose_joint(estimate: Estimate, record: Record, solved: Solved, most: int
     std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     proved = problem.loop if law is not None and law.holds else None
-    faults = search_faults(Tested(problem, x, std, record, proved), most)
+    faults = search_faults(SolvedLoop(problem, x, std, record, proved), most)
     torques = torques_of_loop(problem, x)
     repeats = next((one.passed for one in estimate.about(Subject.REPEATABLE)), None)
     repeats = None if repeats is None else not repeats

@@ -34,7 +34,17 @@ from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.simulated import LoopLog, decimate_each
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
-from jointid.estimation.result.verdict import SLIGHT, Check, Checked, Reason, Subject, Widening, assemble, checks_of, skip_test
+from jointid.estimation.result.verdict import (
+    SLIGHT,
+    Check,
+    Checked,
+    Reason,
+    Subject,
+    Widening,
+    assemble,
+    checks_of,
+    skip_test,
+)
 from jointid.estimation.robots.simulated import IdentifiedRobot
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, Joint

@@ -207,7 +207,7 @@ def _group_identical(steps: Iterable[_Step]) -> list[list[_Step]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Tested:
+class SolvedLoop:
     """A solved problem, and the tests of the faults that are not named yet.
 
     Attributes:

@@ -46,7 +46,7 @@ from jointid.diagnostics.changes import (
     list_variants,
 )
 from jointid.diagnostics.model_free import excludes
-from jointid.diagnostics.score import INTERVAL, LEVEL, RARER, RIVAL, Tested, score
+from jointid.diagnostics.score import INTERVAL, LEVEL, RARER, RIVAL, SolvedLoop, score
 from jointid.diagnostics.suspects import (
     LIMIT,
     LOG_GAIN,
@@ -87,7 +87,7 @@ _MOST_OF_IT = 0.5  # of the blocks of a part
 # Of a joint
 
 
-def search_faults(begun: Tested, most: int = MOST) -> AxisFaults:
+def search_faults(begun: SolvedLoop, most: int = MOST) -> AxisFaults:
     """Return the faults of a joint, its loop and its log.
 
     Args:
@@ -129,7 +129,7 @@ def search_faults(begun: Tested, most: int = MOST) -> AxisFaults:
     return AxisFaults(tuple(findings), begun.tests, units, tuple(suspected), part, explained)
 
 
-def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
+def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
     """Return a test as a finding, with what nearly as likely ones would shift, and the problem with it corrected."""
     (after, values), rivals = _correct(found, test), found.list_rivals(test)
     changes = found.shifts_to(values)
@@ -146,7 +146,7 @@ def _find(found: Tested, test: FaultTest) -> tuple[Finding, Tested]:
     return Finding(test, values[test.name], rivals, changes), after
 
 
-def _correct(found: Tested, test: FaultTest) -> tuple[Tested, Mapping[str, float]]:
+def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[str, float]]:
     """Return the problem with a fault corrected, solved again, and all parameters by name, also of a law that has it.
 
     The parameter of the fault is freed. A fault without one is subtracted from the torque, and its column joins
@@ -186,7 +186,7 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
     return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
 
 
-def _search_law(found: Tested, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
+def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
     """Return the change of the torque, (samples,), by another law of the joint, and its parameters, by a short search.
 
     What a secant shows of a large effect is too little: the other parameters absorb a part of it. None without such a
@@ -240,7 +240,7 @@ class LawTest:
         """Twice the logarithm of the likelihood ratio to the declared law."""
         return (2 * self.test.size - 1) / self.test.std**2
 
-    def explains(self, found: Tested) -> bool:
+    def explains(self, found: SolvedLoop) -> bool:
         """Whether the record excludes the declared law, and no fault explains it better."""
         test = self.test
         if not self.possible or test.size <= 0 or test.p_value > LEVEL:
@@ -274,7 +274,7 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
     return next((one for one in likely if one.leaves_as_little(best)), None)
 
 
-def test_laws(found: Tested) -> list[LawTest]:
+def test_laws(found: SolvedLoop) -> list[LawTest]:
     """Return the tests of other laws that are not named already, and that nothing excludes."""
     tests: list[LawTest] = []
     problem, x, record = found.problem, found.x, found.record
@@ -312,7 +312,7 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...
     return average(law, period * max(round(2.0 * (late - law.reference_delay) / period + 1.0), 2)), delayed
 
 
-def _test_law(found: Tested, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
+def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
     """Return the test of another law by the joint that is identified under it; None where it changes nothing."""
     other = found.problem.under(law.controller, record)
     x = descend(other, start, _SOLVED).x
@@ -321,7 +321,7 @@ def _test_law(found: Tested, law: OtherLaw, record: Record, start: FloatArray) -
     return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None
 
 
-def find_other_law(found: Tested, other: LawTest, alike: Sequence[LawTest] = ()) -> Finding:
+def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] = ()) -> Finding:
     """Return another law as a finding, with its shifts and equally likely laws."""
     left = other.problem.filtered_error(other.problem.residual(other.x))
     others = tuple(one.law for one in sorted(alike, key=lambda one: -one.likelihood))
@@ -329,7 +329,7 @@ def find_other_law(found: Tested, other: LawTest, alike: Sequence[LawTest] = ())
     return Finding(other.test, value, found.list_rivals(other.test), shifts, other.law, left, others)
 
 
-def find_undecided(found: Tested, tests: Sequence[LawTest]) -> list[Finding]:
+def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]:
     """Return the law that the record does not exclude and that shifts a parameter farthest; none within an interval.
 
     Of rates it is one that no other excludes. The shift of stiffness or inertia counts first.
