@@ -20,7 +20,7 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.estimation.robots.consistent import mass_matrix_at
+from jointid.estimation.robots.bodies import mass_matrix_at
 from jointid.models.controllers import PD
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint, RobotLoop

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.problems.simulated import decimate_each, pose_robot
-from jointid.estimation.robots.consistent import mass_matrix_at
+from jointid.estimation.robots.bodies import mass_matrix_at
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties

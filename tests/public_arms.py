@@ -5,7 +5,7 @@ from math import pi
 
 import numpy as np
 
-from jointid.estimation.robots.consistent import mass_matrix_at
+from jointid.estimation.robots.bodies import mass_matrix_at
 from jointid.models.robots.inertial import MassProperties, mass_properties
 from jointid.models.robots.robot import Robot, RobotJoint
 

@@ -11,7 +11,7 @@ from scipy.io import loadmat
 import jointid as ji
 from jointid.config import File
 from jointid.estimation.result.verdict import Trust
-from jointid.estimation.robots.consistent import mass_matrix_at
+from jointid.estimation.robots.bodies import mass_matrix_at
 from tests.estimates import errors_of_bodies
 from tests.estimation.robots.twin import identified
 

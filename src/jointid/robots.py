@@ -1,8 +1,7 @@
 """A robot and its parts, `ji.robots.Link(...)`, and what is computed of a robot alone."""
 
 from jointid.config.robot_model import load_robot
-from jointid.estimation.robots.consistent import consistent_robot
-from jointid.estimation.robots.payload import identify_payload
+from jointid.estimation.robots.bodies import consistent_robot, identify_payload
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.synthesis import add_feed_forward

@@ -30,7 +30,7 @@ from jointid.estimation.parameters import RobotParameters, robot_parameters
 from jointid.estimation.problems.inverse_model import motion_of_robot
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
+from jointid.estimation.robots.bodies import consistent_robot, mass_matrix_at
 from jointid.estimation.robots.simulated import nominal_numbers
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot, RobotLoop

@@ -7,7 +7,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
-from jointid.estimation.robots.consistent import consistent_robot, mass_matrix_at
+from jointid.estimation.robots.bodies import consistent_robot, mass_matrix_at
 from jointid.models.robots.inertial import (
     from_log_cholesky,
     is_physical,

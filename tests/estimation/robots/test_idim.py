@@ -14,7 +14,7 @@ from jointid.estimation.methods.idim import IDIM, simulate_motion
 from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.inverse_model import filter_motion, inverse_of_robot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.consistent import consistent_robot
+from jointid.estimation.robots.bodies import consistent_robot
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.chunks import cut
 from jointid.records.record import Record

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference
+from jointid.estimation.robots.bodies import Payload, identify_payload, payload_difference
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers

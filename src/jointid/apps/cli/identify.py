@@ -141,7 +141,7 @@ def payload(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """
-    from jointid.estimation.robots.payload import identify_payload
+    from jointid.estimation.robots.bodies import identify_payload
     from jointid.output.json import load_estimate
 
     spare((json,), without, with_)

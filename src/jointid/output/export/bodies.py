@@ -23,7 +23,7 @@ from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import join
 from jointid.common.units import Kind
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.consistent import MISFIT, consistent_robot
+from jointid.estimation.robots.bodies import MISFIT, consistent_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties, is_physical, mass_properties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint

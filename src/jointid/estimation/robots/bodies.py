@@ -1,0 +1,361 @@
+"""The bodies that a robot's estimate stands for: links near those of its model, and what the last link carries.
+
+**Links.** Base parameters leave open how masses are spread over the links, and noise may give sums that no bodies have:
+a mass matrix that is not positive makes a simulation fall apart. Here every link is ``exp(alpha) U U'`` [Rucker and
+Wensing 2022], a body whatever the numbers, and the least of::
+
+    (x(theta) - x)' V^-1 (x(theta) - x)  +  |(theta - theta0) / spread|^2
+
+is taken: x and V are the estimate and its covariance, theta0 the model's own bodies. Where the record says much, it
+decides; where it says nothing, the model stays.
+
+**A payload**, its mass, centre and inertia, is what makes the estimate without it into the estimate with it, by
+generalised least squares over the sums of inertial parameters that both know, with the covariance of each. Friction is
+each estimate's own: it changes as gears warm up.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.document import Document, Documented, Facts, Paragraph, Table
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parallel import one_thread
+from jointid.common.text import interval, join, number
+from jointid.estimation.identify import fit
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.parameters import standard_index
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.robots.base_parameters import inverse_columns
+from jointid.models.robots.inertial import (
+    SYMBOLS,
+    from_log_cholesky,
+    is_physical,
+    log_cholesky,
+    mass_properties,
+    pseudo_inertia,
+)
+from jointid.models.robots.robot import Robot, RobotLoop
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.drive_side import RobotDriveSide
+from jointid.simulation.plant import LOAD_STATE, LOG_DELAY, Numbers, Place, robot_with
+from jointid.uncertainty.covariance import Covariance, covariance_of
+
+_SPREAD = 0.3
+"""How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
+
+_SIGNED = ("offset", "stribeck_force", "viscous_drift", "coulomb_drift", "cubic_stiffness", LOG_DELAY, *LOAD_STATE)
+"""Names, without the side, of numbers that a robot may have below 0."""
+
+MISFIT = 2.0
+"""Standard deviations of an estimate, rms, up to which bodies fit it."""
+
+_THIN = 1e-6  # of a body's second moments: what a rod or a plate is given across itself
+_FLOOR = 1e-10  # of the largest variance of a correlation: rounding
+_SETTLED = 1e-6  # relative, of the search
+_TIGHTER = 3.0  # times, from search to search, that errors are smaller
+_NEARLY = 1e-2  # relative, of a search whose errors are not yet those of the estimate
+
+_STEP = 1e-6  # of a difference, relative
+_TOGETHER = 1e-8  # of the largest: a direction in which a payload's ten parameters change nothing
+_ROWS = (
+    *(("mass", "kg"), ("centre x", "m"), ("centre y", "m"), ("centre z", "m")),
+    *((f"inertia {axes}", "kg m2") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+)
+_TWO = 2.0  # standard deviations of an interval
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConsistentRobot:
+    """A robot with bodies that fit an estimate.
+
+    Attributes:
+        robot: the model with the masses, rotors, friction and springs found.
+        misfit: root mean square of the parameters away from the estimate, in its deviations.
+        worst: names of the parameters that are further away than `MISFIT`, the furthest first.
+    """
+
+    robot: Robot
+    misfit: float
+    worst: tuple[str, ...]
+
+
+def consistent_robot(estimate: Estimate) -> ConsistentRobot:
+    """Return the robot nearest to the model of an estimate whose parameters are the estimate's, as far as bodies can.
+
+    Args:
+        estimate: of a robot, by any method.
+
+    Raises:
+        MethodError: a link of the model has no mass, so that there is nothing to be near; or the record does not show
+            a spring, so that it does not part its rotor from its link.
+    """
+    from scipy.linalg import block_diag
+    from scipy.optimize import least_squares
+
+    part = estimate.require_robot()
+    require_shown(estimate)
+    prior, parameters, numbers = part.model, part.parameters, part.numbers()
+    n, size = len(prior), len(parameters.places)
+    values, covariance = part.values, estimate.covariance_of(part.names)
+    base = Numbers.of(prior).with_record(parameters.base)
+    # The parameters are sums of what stands alone, as friction, offsets and springs, and of the bodies.
+    both, every = np.hstack([np.eye(size), parameters.grouping]), (*parameters.places, *parameters.dropped)
+    apart = [column for column, place in enumerate(every) if standard_index(place, n) is None]
+    own, others = [every[c] for c in apart], np.array([(numbers if c < size else base)[every[c]] for c in apart])
+    weights, whiten = np.hstack([parameters.of_standard, both[:, apart]]), whitening(covariance)
+    least = np.array([-np.inf if place.own in _SIGNED else 0.0 for place in own])
+    motors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(base.joints)]
+    bodies, scales = _prior_bodies(prior)
+    rotors, links = prior.of_joints("rotor_inertia"), np.diag(mass_matrix_at(prior, np.zeros(n)))
+    # A URDF has no place for a rotor: 0 says nothing of it, so nothing holds it there.
+    unknown = rotors <= 0.0
+    near = np.concatenate([bodies, rotors])
+    spread = _SPREAD * np.concatenate([scales, np.where(unknown, np.inf, np.maximum(rotors, 0.1 * links))])
+
+    def bodies_of(x: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
+        """Return the inertial parameters of all links, (n, 10), and their derivatives, (10, 10) each."""
+        found, slopes = zip(*map(from_log_cholesky, x[: 10 * n].reshape(n, 10)), strict=True)
+        return np.array(found), list(slopes)
+
+    def away(x: FloatArray) -> FloatArray:
+        """Return how far the parameters of bodies, rotors and others are from those stated, (parameters,)."""
+        return np.asarray(weights @ np.concatenate([bodies_of(x)[0].ravel(), x[10 * n :]]) - values)
+
+    def residual(x: FloatArray, larger: float) -> FloatArray:
+        return np.concatenate([whiten @ away(x) / larger, (x[: 11 * n] - near) / spread])
+
+    def jacobian(x: FloatArray, larger: float) -> FloatArray:
+        slopes = block_diag(*bodies_of(x)[1], np.eye(x.size - 10 * n))
+        return np.vstack([whiten @ weights @ slopes / larger, np.eye(11 * n, x.size) / spread[:, np.newaxis]])
+
+    def misfit_of(x: FloatArray) -> float:
+        return float(np.sqrt(np.mean((whiten @ away(x)) ** 2)))
+
+    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), least])
+    x = np.concatenate([bodies, np.where(unknown, 0.1 * links.max(), rotors), others])
+    x = np.where(np.isfinite(lower), np.maximum(np.abs(x), 1e-9), x)  # a search does not move what is at its bound
+    # Small errors make a narrow curved valley, in which one search stops far from the model: a wrist of 2 m.
+    larger = max(misfit_of(x), 1.5)
+    while larger > 1.0:
+        larger = max(larger / _TIGHTER, 1.0)
+        settled = _NEARLY if larger > 1.0 else _SETTLED
+        x = least_squares(
+            residual, x, jacobian, bounds=(lower, np.inf), args=(larger,), x_scale="jac", ftol=settled, xtol=settled,
+            max_nfev=1000,
+        ).x  # fmt: skip
+    off = np.abs(away(x)) / _positive(covariance.std)
+    worst = tuple(part.names[k] for k in np.argsort(-off) if off[k] > MISFIT)
+    there = replace(base, inertials=bodies_of(x)[0]).with_values([*own, *motors], [*x[11 * n :], *x[10 * n : 11 * n]])
+    return ConsistentRobot(robot_with(prior, there), misfit_of(x), worst)
+
+
+def require_shown(estimate: Estimate) -> None:
+    """Refuse an estimate of a robot with a spring that the record does not show.
+
+    Raises:
+        MethodError: there is one.
+    """
+    if hidden := [row.axis for row in estimate.rows if row.name.endswith(".stiffness") and row.value is None]:
+        raise MethodError(
+            f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
+            "leave this spring out of the robot file, or excite its mode."
+        )
+
+
+def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
+    """Return the mass matrix of links and rotors, (n, n), at a pose, (n,)."""
+    n = len(robot)
+    pushed = np.eye(n + 1, n)  # by each joint, and by none, where gravity is left
+    columns = inverse_columns(robot, np.tile(q, (n + 1, 1)), 0.0 * pushed, pushed)
+    torques = columns @ np.append(robot.inertials, robot.of_joints("rotor_inertia")) @ robot.coupling
+    return np.asarray(torques[:n] - torques[n])
+
+
+def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
+    """Return the log-Cholesky parameters of all links, (10 n,), and their natural sizes: 1, or a length."""
+    found, sizes = [], []
+    for link in prior.links:
+        pseudo = pseudo_inertia(link.inertial)
+        thick = pseudo + _THIN * np.trace(pseudo[:3, :3]) * np.diag([1.0, 1.0, 1.0, 0.0])
+        try:
+            found.append(log_cholesky(thick))
+        except np.linalg.LinAlgError:
+            raise MethodError(
+                f"No body can have the inertial parameters of the link {link.name} in the model; expected a mass, and "
+                "positive second moments, to be near to: correct its mass, centre or inertia; rough ones will do."
+            ) from None
+        length = np.sqrt(np.trace(thick[:3, :3]) / thick[3, 3])
+        sizes.append([1.0, 1.0, 1.0, 1.0, *6 * [length]])
+    return np.concatenate(found), np.concatenate(sizes)
+
+
+def whitening(covariance: Covariance) -> FloatArray:
+    """Return the matrix that makes errors of this covariance white, (parameters, parameters)."""
+    values, vectors = np.linalg.eigh(covariance.correlation)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / _positive(covariance.std))
+
+
+def _positive(std: FloatArray) -> FloatArray:
+    """Return standard errors, that of a fixed parameter as the smallest one."""
+    return np.where(std > 0, std, np.min(std[std > 0], initial=1.0))
+
+
+# A payload
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Payload(Documented):
+    """A payload, in the frame of the link that carries it.
+
+    Attributes:
+        link: its name.
+        inertial: (10,) the payload's inertial parameters. covariance: of these.
+        warnings: of the estimates and on their records, one sentence each.
+    """
+
+    in_json = "rows possible -inertial -covariance"
+    link: str
+    inertial: FloatArray
+    covariance: Covariance
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def properties(self) -> tuple[FloatArray, FloatArray]:
+        """Mass, centre (3) and inertia at the centre (xx, yy, zz, xy, xz, yz), (10,), and their deviations, (10,)."""
+        values = _convert(self.inertial)
+        steps = _STEP * np.maximum(np.abs(self.inertial), self.covariance.std)
+        slopes = np.array(
+            [(_convert(self.inertial + d) - _convert(self.inertial - d)) / (2 * d.max()) for d in np.diag(steps)]
+        ).T
+        return values, np.sqrt(np.maximum(np.diag(slopes @ self.covariance.matrix @ slopes.T), 0.0))
+
+    @property
+    def rows(self) -> Mapping[str, Mapping[str, float | str]]:
+        """Value, deviation and unit of each number."""
+        found = zip(_ROWS, *(map(float, one) for one in self.properties), strict=True)
+        return {name: {"value": value, "std": std, "unit": unit} for (name, unit), value, std in found}
+
+    @property
+    def possible(self) -> bool:
+        """True if a body can have the ten parameters as they were found."""
+        return is_physical(self.inertial)
+
+    def to_document(self, *, details: bool = False) -> Document:
+        """Return the mass and the centre first, then each number; there are no further details."""
+        del details
+        lines = [
+            (name, interval(float(row["value"]), _TWO * float(row["std"])), str(row["unit"]))
+            for name, row in self.rows.items()
+        ]
+        at = ", ".join(number(float(one), 3) for one in self.properties[0][1:4])
+        first = f"The payload weighs {lines[0][1]} kg, 2 sigma, with its centre at ({at}) m of {self.link}."
+        said = "" if self.possible else "No body has just these numbers; those that are not known may be far off."
+        title = f"in the frame of {self.link}; inertia at the centre"
+        return Document(
+            first,
+            (
+                *([Paragraph(said, tone="bad")] if said else []),
+                Table(("", "value, 2 sigma", "unit"), tuple(lines), title, (0, 1, 2)),
+                Facts(tuple(("warning", one) for one in self.warnings)),
+            ),
+        )
+
+
+def _convert(inertial: FloatArray) -> FloatArray:
+    body = mass_properties(inertial)
+    return np.array([body.mass, *body.centre, *body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
+
+
+@one_thread()
+def identify_payload(
+    model: Robot | RobotLoop | RobotDriveSide,
+    empty: Sequence[Record] | Estimate,
+    loaded: Sequence[Record],
+    method: Method | None = None,
+    *,
+    filtering: Filtering | None = None,
+    progress: Progress = ignore_progress,
+) -> Payload:
+    """Identify what the last link carries in the second record and not in the first.
+
+    Args:
+        model: the robot's geometry, gravity and coupling for IDIM; the robot under its controllers, whose gains are the
+            same with the payload, for DIDIM; or a flexible robot on the drive side.
+        empty: the record of each joint without the payload, or the robot's estimate by the same method.
+        loaded: the record of each joint with it; another motion will do.
+        method: as of `jointid.identify`.
+        filtering: of positions, torques and rows.
+        progress: receives the steps.
+
+    Raises:
+        MethodError: see `payload_difference`; or the method does not fit the model.
+        RecordError: as of `jointid.identify`.
+    """
+
+    def estimate(log: Sequence[Record] | Estimate) -> Estimate:
+        if isinstance(log, Estimate):
+            return log
+        if any(record.payload for record in log):
+            raise MethodError(
+                "A record states its payload, which is to be identified here; leave payload_mass of [[records]], or "
+                "Record.payload, out."
+            )
+        return fit(log, model, method, filtering=filtering, progress=progress)
+
+    return payload_difference(estimate(empty), estimate(loaded))
+
+
+def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
+    """Return the payload that makes one estimate of a robot into the other, by generalised least squares.
+
+    Args:
+        empty: without the payload.
+        loaded: with it, of the same robot by the same method.
+
+    Raises:
+        MethodError: the estimates are of two robots or methods, an estimate did not settle or refuses a parameter, the
+            robot does not tell all of a payload, or its mass comes out negative.
+    """
+    each = list[tuple[list[str], FloatArray, FloatArray, FloatArray]]()
+    for estimate in (empty, loaded):
+        part = estimate.require_robot()
+        require_shown(estimate)
+        sums = part.parameters.of_standard
+        own = np.flatnonzero(np.any(sums, axis=1))  # a weight that is a constant torque is an offset's
+        named = [part.names[i] for i in own]
+        each.append((named, part.values[own], sums[own], estimate.covariance_of(named).matrix))
+    (names, before, columns, noise), (others, after, standard, more) = each
+    alike = names == others and np.allclose(columns, standard) and empty.settings.method == loaded.settings.method
+    free = alike and np.all(np.diag(noise) * np.diag(more) > 0.0)
+    if not free or not (empty.fit.converged and loaded.fit.converged):
+        raise MethodError(
+            "A payload is the difference of two searches that settled, of one robot by one method, every parameter "
+            f"free that a payload changes; these are by {empty.settings.method} and {loaded.settings.method}: identify "
+            "each record to see what it leaves, free what is fixed, or allow more by method.evaluations."
+        )
+    link, last = part.model.links[-1].name, len(SYMBOLS) * (len(part.model) - 1)
+    columns = columns[:, last : last + len(SYMBOLS)]
+    _, sizes, directions = np.linalg.svd(columns / column_norms(columns), full_matrices=True)
+    hidden = directions[int(np.sum(sizes > _TOGETHER * sizes[0])) :]
+    if len(hidden):
+        lost = [SYMBOLS[k] for k in np.flatnonzero(np.max(np.abs(hidden), axis=0) > 0.2)]
+        raise MethodError(
+            f"This robot does not tell all of a payload: {join(lost)} act on no torque, or only together; expected "
+            "joints that turn and tilt the last link about several axes."
+        )
+    whiten = whitening(covariance_of(noise + more))
+    seen = whiten @ columns
+    spread = np.asarray(np.linalg.pinv(seen.T @ seen), dtype=np.float64)
+    inertial = spread @ seen.T @ whiten @ (after - before)
+    if not inertial[0] > 0:
+        raise MethodError(
+            f"The payload's mass comes out as {inertial[0]:.3g} kg; expected a positive one: check that the second "
+            "record is the one with the payload, and that both have the same torque's unit."
+        )
+    said = dict.fromkeys((*empty.warnings, *loaded.warnings))
+    return Payload(link, inertial, covariance_of(spread), tuple(said))
