@@ -59,8 +59,8 @@ class Bench:
         def regression(delay: float) -> tuple[float, np.ndarray]:
             motion = motion_along([self.torque(current)], np.column_stack([self.motor, self.load]), resolved, [delay])
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
-            W = motion.decimate_columns(inverse_of_joint(JOINT, zeros=True).columns_along(motion))
-            Y = motion.decimate_torques()[:, 0]
+            W = motion.decimate_columns(inverse_of_joint(JOINT).columns(motion))
+            Y = motion.decimate(motion.torque[:, :, np.newaxis])[:, 0]
             values = least_squares(W, Y, names)
             return float(np.linalg.norm(Y - W @ values)), values
 

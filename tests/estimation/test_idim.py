@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.idim import IDIM, solve_rows
-from jointid.estimation.problems.inverse_model import Rows
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.regression import Rows, solve_rows
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint

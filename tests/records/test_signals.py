@@ -69,7 +69,7 @@ def test_a_delayed_torque_acts_later(timing: Timing) -> None:
 
 def test_a_filtered_axis_at_rest_has_no_direction() -> None:
     """What the filter leaves of a motion is rounding after some hundred samples, of either sign."""
-    position = np.column_stack([np.minimum(np.arange(2000) * 1e-4, 0.03), np.zeros(2000)])
+    position = np.minimum(np.arange(2000) * 1e-4, 0.03)[:, np.newaxis] * [1.0, -1.0]
     velocity = differentiate_twice(lowpass(position, 60.0, 1e-3), 1e-3)[0]
     still = velocity[800:1600]
     assert np.any(still > 0.0) and np.any(still < 0.0) and np.max(np.abs(still)) < 1e-9

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.inverse_model import moving_weights, turning_weights
+from jointid.estimation.problems.inverse_model import moving_weights
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
 from jointid.simulation.drive_side import DriveSideRun, PrescribedMotion, prescribe, run_drive_side
@@ -38,7 +38,7 @@ def error(found: DriveSideRun, run: Simulation, parts: int = 1, first: int = 0) 
     curved = found.torque.copy()
     curved[1:-1] -= np.diff(found.torque, 2, axis=0) / 12.0
     seen, logged = window_parts(curved, parts, 0.0), window_parts(run.torque[first:-1], 1, 0.0)
-    moving = np.column_stack([moving_weights(v) * turning_weights(v) for v in run.motor_velocity[first:].T])
+    moving = np.column_stack([moving_weights(v, turning=True) for v in run.motor_velocity[first:].T])
     left = ((seen - logged) * moving)[600:-20]  # the twin's first 0.6 s begin with a jolt, which is no smooth motion
     return np.asarray(np.sqrt(np.mean(left**2, axis=0)) / np.std(logged, axis=0))
 

@@ -23,7 +23,7 @@ from jointid.diagnostics.changes import AVERAGED, OF_REFERENCE, SCREENED, list_v
 from jointid.diagnostics.seen import Seen
 from jointid.diagnostics.suspects import FAULTS, Fault, FaultSignature, list_signatures
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.inverse_model import MeasuredMotion, inverse_of_robot, read_as
+from jointid.estimation.problems.inverse_model import MeasuredMotion, inverse_of_robot
 from jointid.estimation.problems.simulated import Simulated, decimate_each, pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
@@ -144,8 +144,8 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     motion: MeasuredMotion | None
     if settings.method == "idim":
         inverse = inverse_of_robot(robot, part.parameters)
-        source = motion = inverse.measure(read_as(records, settings.timing), settings.filtering)
-        columns, torque, decimate = inverse.columns_along(source), source.torque, source.decimate_columns
+        source = motion = inverse.measure(records, settings.filtering).read_as(settings.timing)
+        columns, torque, decimate = inverse.columns(source), source.torque, source.decimate_columns
         rows, followed = inverse.rows([source], [columns]), columns @ part.values
         measured, predicted, own = rows.Y, rows.W @ part.values, rows.W
     else:

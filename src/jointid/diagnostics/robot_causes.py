@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.text import join, number
 from jointid.diagnostics.changes import Cause
 from jointid.estimation.parameters import robot_parameters
-from jointid.estimation.problems.inverse_model import motion_of_robot
+from jointid.estimation.problems.inverse_model import measure_motion
 from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -159,10 +159,10 @@ def find_copied_reference(robot: Robot, records: Sequence[Record]) -> Cause | No
 
 def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Case:
     """Return the declared case at some hundred instants, the torques through the filter of the positions."""
-    motion = motion_of_robot(robot, records, filtering)
+    motion = measure_motion(robot, records, filtering)
     assert motion.filtering.position_cutoff is not None
     torque = lowpass(motion.torque, motion.filtering.position_cutoff, motion.sample_time)
-    rows = np.arange(len(torque))[motion.inside]
+    rows = np.arange(len(torque))[motion.filtering.inside(len(torque))]
     rows = rows[:: max(rows.size // _INSTANTS, 1)]
     moved = np.stack([one[rows] @ robot.coupling.T for one in (motion.q, motion.v, motion.a)])
     moving = motion.moving[rows] * (np.abs(moved[1]) > _REST * np.max(np.abs(moved[1]), axis=0))

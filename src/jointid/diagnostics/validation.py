@@ -35,7 +35,6 @@ from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
     inverse_of_joint,
     inverse_of_robot,
-    read_as,
     require_one_log,
     through_window,
 )
@@ -267,7 +266,7 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
 
 
 def _take_records(estimate: Estimate, record: Record | Sequence[Record]) -> Sequence[Record]:
-    """Return a record of each axis with the timing of the identification; a torque that lacks is computed.
+    """Return a record of each axis; a torque that lacks is computed.
 
     Raises:
         MethodError: there are not as many as axes.
@@ -285,7 +284,7 @@ def _take_records(estimate: Estimate, record: Record | Sequence[Record]) -> Sequ
         if estimate.robot is None:
             given[k].require(("torque",), "Validation")
             check_record(given[k])
-    return read_as(given, estimate.settings.timing)
+    return given
 
 
 # The prediction
@@ -320,12 +319,12 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     settings, part = estimate.settings, estimate.robot
     if part is None:
         known = estimate.require_values()
-        inverse = inverse_of_joint(settings.joint, settings.delay, zeros=settings.joint.model == "flexible")
+        inverse = inverse_of_joint(settings.joint, settings.delay)
         values = np.array([known.get(name, 0.0) for name in inverse.names])
     else:
         inverse, values = inverse_of_robot(part.model, part.parameters), part.values.copy()
-    motion, axes = inverse.measure(records, settings.filtering), inverse.driven
-    raw = inverse.columns_along(motion)
+    motion, axes = inverse.measure(records, settings.filtering).read_as(settings.timing), inverse.driven
+    raw = inverse.columns(motion)
     rows = inverse.rows([motion], [raw])
     own = np.array([name == ENCODER_OFFSET.name for name in inverse.names])  # counted from elsewhere in each record
     values[own] += np.linalg.lstsq(rows.W[:, own], rows.Y - rows.W @ values, rcond=None)[0]

@@ -26,7 +26,6 @@ from jointid.estimation.pieces import GAIN, identify_records, identify_windows, 
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.verdict import Reason, Subject, check_of, scale_check
-from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
@@ -198,7 +197,7 @@ def _fit_robot(
             "RobotLoop, or DriveSideFit for a RobotDriveSide."
         )
     if isinstance(chosen, IDIM):
-        found = identify_robot(model, records, chosen, filtering=filtering, known=known)
+        found = chosen.identify_robot(robot, logs, filtering, known, None if model is robot else model)
     else:
         found = identify_simulated_robot(model, records, chosen, filtering=filtering, known=known, progress=progress)
     warnings = (

@@ -18,7 +18,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.estimation.descent import Solved
-from jointid.estimation.methods.idim import solve_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.problems.inverse_model import (
     Inverse,
@@ -27,6 +26,7 @@ from jointid.estimation.problems.inverse_model import (
     motion_along,
     steady_weights,
 )
+from jointid.estimation.problems.regression import solve_rows
 from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
@@ -110,7 +110,6 @@ def _regress(
     torques: FloatArray,
     positions: FloatArray,
     delays: Sequence[float],
-    coupling: FloatArray | None = None,
 ) -> FloatArray:
     """Return the parameters by IDIM on guessed motions of the motors, (samples, n), whose ends are left out."""
     borders = _BORDERS if len(torques) > _SHORT else 0
@@ -123,11 +122,8 @@ def _regress(
     weights = np.column_stack([steady_weights(v, cutoff, motion.sample_time)[1] for v in motion.v.T])
     if np.mean(weights) >= _MOST:  # else what is left tells less than what friction at rest bends
         motion = replace(motion, moving=weights)
-    if coupling is not None:
-        joints = np.linalg.inv(coupling).T
-        motion = replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
     fixed = {p.name: p for p in parameters if not p.free}
-    return solve_rows(inverse.rows([motion]), "weighted", fixed, turns=_REWEIGHTINGS).values
+    return solve_rows(inverse.rows([inverse.turn(motion)]), "weighted", fixed, turns=_REWEIGHTINGS).values
 
 
 # The controller turned round
@@ -219,8 +215,7 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
                     joint = RigidJoint(link.kind)
                     alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
                     torques[:, j], positions[:, j] = (one[: len(torques)] for one in _turn_round(alone))
-            coupling = loop.robot.coupling
-            found = _regress(problem, inverse, parameters.parameters, torques, positions, delays, coupling)
+            found = _regress(problem, inverse, parameters.parameters, torques, positions, delays)
         except MethodError as error:
             failures.append(str(error))
             continue

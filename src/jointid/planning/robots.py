@@ -27,7 +27,7 @@ from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.diagnostics.axis_torques import torques_of_robot
 from jointid.estimation.parameters import RobotParameters, robot_parameters
-from jointid.estimation.problems.inverse_model import motion_of_robot
+from jointid.estimation.problems.inverse_model import measure_motion
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.bodies import consistent_robot, mass_matrix_at
@@ -350,7 +350,7 @@ def _read_first(estimate: Estimate, records: Sequence[Record]) -> tuple[tuple[Re
     left = np.array([np.sqrt(np.mean(e[s] ** 2)) for e, s in zip(torques.error, torques.seen, strict=True)])
     present = tuple(records)
     if estimate.settings.method != "didim":
-        motion = motion_of_robot(robot, records, estimate.settings.filtering)
+        motion = measure_motion(robot, records, estimate.settings.filtering)
         present = references(robot, motion.q, motion.sample_time)
     assert present[0].reference is not None
     # White noise has in the band the share 2 cutoff / rate of its power.

@@ -10,9 +10,9 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.validation import Prediction, validate
-from jointid.estimation.methods.idim import IDIM, simulate_motion
+from jointid.estimation.methods.idim import IDIM, simulate_columns
 from jointid.estimation.parameters import robot_parameters
-from jointid.estimation.problems.inverse_model import filter_motion, inverse_of_robot
+from jointid.estimation.problems.inverse_model import inverse_of_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.bodies import consistent_robot
 from jointid.models.robots.robot import Robot, RobotLoop
@@ -171,11 +171,7 @@ def test_instruments_begin_in_motion_where_the_loop_does() -> None:
     inverse = inverse_of_robot(loop.robot, parameters)
     motion = inverse.measure(records, Filtering())
     measured = inverse.rows([motion]).W
-    there = simulate_motion(loop, records, parameters.parameters, parameters.numbers)(
-        parameters.group(Numbers.of(loop.robot))
-    )
-    q, v, a = filter_motion(there, motion.sample_time, motion.filtering)
-    made = inverse.rows([motion], [inverse.columns(q, v, a)]).W
+    made = simulate_columns(inverse, loop, [records], [motion])(parameters.group(Numbers.of(loop.robot)))
     assert np.linalg.norm(made - measured) < 1e-3 * np.linalg.norm(measured)
 
 

@@ -43,7 +43,6 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
     describe_noise_limit,
-    find_noise_limit,
 )
 from jointid.simulation.drive_side import PARTS, DriveSide, prescribe
 from jointid.simulation.plant import LOAD_STATE
@@ -81,21 +80,21 @@ def motion_problem(
     require_free(parameters)
     torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Drive-side identification")
     sample_time = torque.sample_time
-    filtering = filtering.resolve(sample_time, setup.joint.model, find_noise_limit([position], sample_time))
     # How late the log shows the torque is searched, so its timing is taken as it is.
-    motion = motion_along([replace(torque, stated=True)], position[:, np.newaxis], filtering)
-    velocity, cutoff = motion.v[:, 0], filtering.position_cutoff
+    stated, model = [replace(torque, stated=True)], setup.joint.model
+    motion = motion_along(stated, position[:, np.newaxis], filtering, model=model)
+    velocity, cutoff = motion.v[:, 0], motion.filtering.position_cutoff
     assert cutoff is not None
     weights = moving_weights(velocity)
     # The rounding of an encoder would have the load of a motor that rests begin where Coulomb friction drags it.
     prescribed = prescribe(motion.q, sample_time, PARTS, resting=not weights[0])
-    if setup.joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
+    if model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
         weights = steady_weights(velocity, cutoff, sample_time)[1]
     motion = replace(motion, moving=weights[:, np.newaxis], told=-math.inf)  # faint rows count, too
-    around = () if setup.joint.model == "rigid" else _LOAD_PARAMETERS
+    around = () if model == "rigid" else _LOAD_PARAMETERS
     # A load at rest rests where it was left.
     first = tuple(replace(p, free=bool(weights[0]), start=0.0) for p in around)
-    log = MotionLog(motion.torque, filtering, motion, prescribed, PARTS)
+    log = MotionLog(motion.torque, motion.filtering, motion, prescribed, PARTS)
     return ClosedLoopProblem((log,), (*parameters, *first, delay), np.ones(1), setup)
 
 

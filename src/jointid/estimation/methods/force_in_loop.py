@@ -96,15 +96,8 @@ def uncertainty_of_least_error(
     """Return the uncertainty of the free parameters at a least torque error.
 
     Beside noise: what a random force in the loop moves, and, of a rigid joint with linear laws, how far the fixed point
-    of its regressor lies away where noise does not explain that (`second_solution`).
-
-    Args:
-        problem: that was solved.
-        x: (free,) where.
-        run: of the loop there.
-        residual: (rows,) filtered.
-        J: (rows, free) the derivatives of the simulated torque, filtered.
-        history: counts the simulations.
+    of its regressor lies away where noise does not explain that (`second_solution`). At x, (free,), `run` is of the
+    loop, `residual`, (rows,), filtered, and J, (rows, free), has the derivatives of the simulated torque, filtered.
     """
     known, _ = widen_for_force(uncertainty(Influence(J, residual), problem.cells(run)), problem, x, J, history)
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then

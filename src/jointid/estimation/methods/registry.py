@@ -12,8 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 from jointid.common.errors import MethodError
 from jointid.common.settings import check_settings, settings_of
@@ -27,19 +26,10 @@ if TYPE_CHECKING:
     from jointid.records.record import Record
     from jointid.records.signals.filtering import Filtering
 
-METHODS: Mapping[str, str] = MappingProxyType(
-    {
-        "didim": "didim.DIDIM",
-        "idim": "idim.IDIM",
-        "drive_side": "drive_side.DriveSideFit",
-    }
-)
+METHODS: Mapping[str, str] = {"didim": "didim.DIDIM", "idim": "idim.IDIM", "drive_side": "drive_side.DriveSideFit"}
 """Module and class of every method by its name; of two methods whose needs are met the first is the default."""
 
-if TYPE_CHECKING:
-    MethodName: TypeAlias = str
-else:
-    MethodName = Literal[tuple(METHODS)]
+MethodName: Any = Literal[tuple(METHODS)]
 """The type of a method's name: one of the registry's."""
 
 MODELS = ("rigid", "flexible")
@@ -148,9 +138,5 @@ def method_of(name: str) -> type[Method]:
 
 
 def default_method(model: object) -> type[Method]:
-    """Return the class of the default method of a model.
-
-    Args:
-        model: the closed loop, the drive side, or the joint or robot alone.
-    """
+    """Return the class of the default method of a closed loop, a drive side, or a joint alone."""
     return next(one for one in methods() if one.default_for is not None and isinstance(model, one.default_for))

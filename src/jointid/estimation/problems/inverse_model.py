@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.problems.regression import Rows
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.position_forces import Motion
 from jointid.models.robots.base_parameters import inverse_columns
@@ -46,6 +47,7 @@ from jointid.records.signals.filtering import (
     thin_channel,
     window_torque,
 )
+from jointid.simulation.plant import Numbers
 
 if TYPE_CHECKING:
     from jointid.estimation.parameters import RobotParameters
@@ -56,6 +58,9 @@ ENCODER_OFFSET = Parameter("encoder_offset", "K dq0", Quantity.FORCE)
 An encoder counts from where it was switched on, or from its own mark. The difference at a rest of the record is not
 enough: friction may hold the spring wound up there.
 """
+
+POSITIONS = ("motor_position", "load_position")
+"""Of the masses of a joint."""
 
 REST = 0.02
 """Of the root mean square speed: a mass slower than that ..."""
@@ -72,9 +77,6 @@ _FEW = 0.1  # of the moving samples: if less were left without reversals, these 
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
 _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 
-Columns: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-"""The columns, (samples, equations, parameters), of positions, velocities and accelerations, (samples, n) each."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredMotion:
@@ -89,9 +91,8 @@ class MeasuredMotion:
         filtering: resolved.
         limit: Hz, the highest cut-off that the noise of the positions allows.
         raw: (samples, n) positions as measured.
-        if_sampled: (samples, n) what torques of unstated timing, read as held, are more if read as sampled; None where
-            all are stated.
-        apart: whether the rows at rest are left out; else they are 0.
+        if_sampled: (samples, n) what torques of unstated timing, read as held, are more if read as sampled; else 0.
+        apart: whether rows at which no mass moves are left out, as of a joint; else they are 0.
         told: of a row's weight; what holds less is of rest.
     """
 
@@ -104,24 +105,26 @@ class MeasuredMotion:
     filtering: Filtering
     limit: float
     raw: FloatArray
-    if_sampled: FloatArray | None = None
+    if_sampled: FloatArray
     apart: bool = False
     told: float = _TOLD
 
-    def decimate_columns(self, columns: FloatArray) -> FloatArray:
-        """Return columns, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
-        seen = through_window(columns, self.filtering)
-        return np.concatenate([self.decimate_joint(j, seen[:, j]) for j in range(seen.shape[1])])
+    def decimate(self, signals: FloatArray) -> FloatArray:
+        """Return signals, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
+        return np.concatenate([self.decimate_joint(j, signals[:, j]) for j in range(signals.shape[1])])
 
-    def decimate_torques(self) -> FloatArray:
-        """Return the torques, and what they are more if read as sampled, decimated: (n instants, 2), 0 at rest."""
-        both = np.stack([self.torque, 0.0 * self.torque if self.if_sampled is None else self.if_sampled], axis=2)
-        return np.concatenate([self.decimate_joint(j, both[:, j]) for j in range(both.shape[1])])
+    def decimate_columns(self, columns: FloatArray) -> FloatArray:
+        """Return columns, (samples, n, columns), seen through the window of the torques and decimated."""
+        return self.decimate(through_window(columns, self.filtering))
 
     def cut(self, first: int, end: int) -> MeasuredMotion:
         """Return the motion of some samples."""
-        named = ("q", "v", "a", "torque", "moving", "raw", *(() if self.if_sampled is None else ("if_sampled",)))
+        named = ("q", "v", "a", "torque", "moving", "raw", "if_sampled")
         return replace(self, **{name: getattr(self, name)[first:end] for name in named})
+
+    def read_as(self, timing: Timing | None) -> MeasuredMotion:
+        """Return the motion with torques of unstated timing read so; held if it is None."""
+        return replace(self, torque=self.torque + self.if_sampled) if timing is Timing.SAMPLED else self
 
     def split(self) -> list[MeasuredMotion]:
         """Return the parts of a motion whose columns take too much memory at once; itself of a shorter one."""
@@ -129,11 +132,6 @@ class MeasuredMotion:
         count = math.ceil(size * n * n / LARGEST)
         ends = np.linspace(0, size, count + 1).astype(int)
         return [self.cut(*span) for span in pairwise(ends)]
-
-    @property
-    def inside(self) -> slice:
-        """The samples that no border of the filters reaches."""
-        return self.filtering.inside(len(self.torque))
 
     @property
     def whole_rows(self) -> NDArray[np.bool_]:
@@ -145,45 +143,12 @@ class MeasuredMotion:
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of one equation, (samples, columns), decimated, (rows, columns), 0 or left out at rest."""
-        moving = self.moving[self.inside, joint, np.newaxis]
-        among = self.moving[self.inside] if self.apart else moving
-        rows, shares = decimate_all([columns[self.inside] * moving, among], self.filtering, self.sample_time)
+        inside = self.filtering.inside(len(self.q))
+        moving = self.moving[inside, joint, np.newaxis]
+        among = self.moving[inside] if self.apart else moving
+        rows, shares = decimate_all([columns[inside] * moving, among], self.filtering, self.sample_time)
         stated = np.any(shares > self.told, axis=1)
         return rows[stated] if self.apart else np.where(stated[:, np.newaxis], rows, 0.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """A linear regression.
-
-    Attributes:
-        Y: (rows,) the torque, filtered and decimated; the rows of one equation after those of the other.
-        W: (rows, parameters) the columns.
-        names: of the parameters.
-        equations: how many share their instants.
-        driven: how many of them, the first, have the torque of a motor; the others are homogeneous.
-        early: (rows,) what the torque is more if it is read as sampled; None where all timings are stated.
-    """
-
-    Y: FloatArray
-    W: FloatArray
-    names: tuple[str, ...]
-    equations: int
-    driven: int = 1
-    early: FloatArray | None = None
-
-    def by_equation(self, values: FloatArray) -> FloatArray:
-        """Return the values of all rows, (equations, instants)."""
-        return values.reshape(self.equations, -1)
-
-    def spread_out(self, sizes: FloatArray) -> FloatArray:
-        """Return one number for each row, (rows,), from one for each equation."""
-        return np.repeat(sizes, self.Y.size // self.equations)
-
-    def relative_errors(self, values: FloatArray) -> FloatArray:
-        """Return the residual share of each equation's torque, (equations,)."""
-        left, whole = (np.linalg.norm(self.by_equation(one), axis=1) for one in (self.Y - self.W @ values, self.Y))
-        return np.asarray(left / whole)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,16 +156,36 @@ class Inverse:
     """The inverse model of a joint or a robot.
 
     Attributes:
-        names: of the parameters.
-        driven: how many equations, the first, have the torque of a motor.
-        columns: of the parameters.
-        measure: from the records of a log, and the filtering of positions and rows, to the motion.
+        system: the joint, or the robot, whose joints are rigid.
+        parameters: of the columns.
+        columns: of a motion, (samples, equations, parameters), not filtered.
+        numbers: from values, (parameters,), to what simulates them.
+        delay: seconds from the output of a joint's controller to the torque that acts.
     """
 
-    names: tuple[str, ...]
-    driven: int
-    columns: Columns
-    measure: Callable[[Sequence[Record], Filtering], MeasuredMotion]
+    system: Joint | Robot
+    parameters: tuple[Parameter, ...]
+    columns: Callable[[MeasuredMotion], FloatArray]
+    numbers: Callable[[FloatArray], Numbers]
+    delay: float = 0.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def driven(self) -> int:
+        """How many equations, the first, have the torque of a motor."""
+        return len(self.system) if isinstance(self.system, Robot) else 1
+
+    def measure(self, records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
+        """Return the motion of a log; see `measure_motion`."""
+        return measure_motion(self.system, records, filtering, delay=self.delay)
+
+    def turn(self, motion: MeasuredMotion) -> MeasuredMotion:
+        """Return the motion of what the columns are of, a robot's joints, from that of the motors."""
+        return turn(self.system, motion) if isinstance(self.system, Robot) else motion
 
     def measure_logs(self, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
         """Return the motion of each log, all filtered with the lowest cut-off of one of them."""
@@ -209,16 +194,19 @@ class Inverse:
         pairs = zip(motions, logs, strict=True)
         return [motion if motion.filtering == common else self.measure(log, common) for motion, log in pairs]
 
-    def columns_along(self, motion: MeasuredMotion) -> FloatArray:
-        """Return the columns of a motion, (samples, equations, parameters), not filtered."""
-        return self.columns(motion.q, motion.v, motion.a)
-
     def rows(self, motions: Sequence[MeasuredMotion], columns: Iterable[FloatArray] | None = None) -> Rows:
         """Return the regression along the motions of one log or several; of other columns where these are given."""
-        pairs, n = zip(motions, columns or map(self.columns_along, motions), strict=True), motions[0].q.shape[1]
+        pairs, n = zip(motions, columns or map(self.columns, motions), strict=True), motions[0].q.shape[1]
         W = join_rows([motion.decimate_columns(each) for motion, each in pairs], n)
-        Y, early = join_rows([motion.decimate_torques() for motion in motions], n).T
+        torques = [motion.decimate(np.stack([motion.torque, motion.if_sampled], axis=2)) for motion in motions]
+        Y, early = join_rows(torques, n).T
         return Rows(Y, W, self.names, n, self.driven, early if np.any(early) else None)
+
+
+def turn(robot: Robot, motion: MeasuredMotion) -> MeasuredMotion:
+    """Return the motion of a robot's joints from that of its motors."""
+    joints = np.linalg.inv(robot.coupling).T
+    return replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
 
 
 def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
@@ -239,8 +227,7 @@ def filter_motion(
     assert filtering.position_cutoff is not None
     smooth = lowpass(positions, filtering.position_cutoff, sample_time)
     if filtering.timing == "respected":
-        twice = [differentiate_twice(each, sample_time) for each in smooth.T]
-        velocity, acceleration = (np.column_stack(each) for each in zip(*twice, strict=True))
+        velocity, acceleration = differentiate_twice(smooth, sample_time)
     else:
         velocity = differentiate(smooth, sample_time)
         acceleration = differentiate(velocity, sample_time)
@@ -248,40 +235,37 @@ def filter_motion(
 
 
 def through_window(columns: FloatArray, filtering: Filtering) -> FloatArray:
-    """Return columns, (samples, n, columns), as a torque whose timing is respected sees them."""
+    """Return columns, (samples, ...), as a torque whose timing is respected sees them."""
     return apply_window(columns) if filtering.timing == "respected" else columns
 
 
 def motion_along(
-    torques: Sequence[Channel], positions: FloatArray, filtering: Filtering, delays: Sequence[float] = (0.0,)
+    torques: Sequence[Channel],
+    positions: FloatArray,
+    filtering: Filtering,
+    delays: Sequence[float] = (0.0,),
+    model: str = "rigid",
 ) -> MeasuredMotion:
     """Return the motion along raw positions, (samples, n), of which all samples count.
 
     Args:
         torques: on the first of n masses or joints, at the positions' rate.
         positions: of the motor, and for a flexible joint of the load; or of the motors of a robot.
-        filtering: resolved.
+        filtering: of positions and rows.
         delays: seconds from each logged torque to the torque that acts, or one for all.
+        model: "rigid" or "flexible", whose cut-offs are taken where there are none.
     """
     measured, more, sample_time = np.zeros(positions.shape), np.zeros(positions.shape), torques[0].sample_time
-    respected, size = filtering.timing == "respected", len(positions)
+    limit, size = find_noise_limit(positions.T, sample_time), len(positions)
+    filtering = filtering.resolve(sample_time, model, limit)
     for j, (torque, delay) in enumerate(zip(torques, np.resize(delays, len(torques)), strict=True)):
-        read = torque if torque.stated else replace(torque, timing=Timing.HELD)
-        measured[:, j] = (window_torque(read, delay) if respected else torque.values)[:size]
-        if respected and not torque.stated:
-            more[:, j] = window_torque(replace(torque, timing=Timing.SAMPLED), delay)[:size] - measured[:, j]
-    limit = find_noise_limit(positions.T, sample_time)
+        read = [torque.values]
+        if filtering.timing == "respected":
+            ways = [torque.timing] if torque.stated else [Timing.HELD, Timing.SAMPLED]
+            read = [window_torque(replace(torque, timing=way), delay) for way in ways]
+        measured[:, j], more[:, j] = read[0][:size], (read[-1] - read[0])[:size]
     moved = filter_motion(positions, sample_time, filtering)
     return MeasuredMotion(*moved, measured, np.ones(positions.shape), sample_time, filtering, limit, positions, more)
-
-
-def read_as(records: Sequence[Record], timing: Timing | None) -> list[Record]:
-    """Return records whose torques of unstated timing have this one; None keeps it."""
-
-    def read(torque: Channel) -> Channel:
-        return replace(torque, timing=timing, stated=True) if timing and not torque.stated else torque
-
-    return [one if one.torque is None else replace(one, torque=read(one.torque)) for one in records]
 
 
 def torque_and_positions(
@@ -298,77 +282,53 @@ def torque_and_positions(
         method: as an error names it.
 
     Raises:
-        RecordError: a channel is missing, in another unit, not sampled, or at another rate.
+        RecordError: a channel is missing, in another unit, not sampled, at another rate, or has values that are none.
     """
     record.require(("torque", *names), method)
     require_units(record, joint.kind, joint.torque_unit)
     assert record.torque is not None
     torque, added, period = record.torque, record.injected, record.torque.sample_time
-    channels = [(name, thin_channel(getattr(record, name), period)) for name in names]
-    acting = list[Channel]()
+    channels = {"torque": torque} | {name: thin_channel(getattr(record, name), period) for name in names}
     if isinstance(added, Injection) and added.at is not InjectionPoint.BEFORE_LIMIT and not added.in_torque:
-        acting = [added.channel]
-    for name, one in (*channels, *(("injected", one) for one in acting)):
-        sampled = name == "injected" or one.timing is Timing.SAMPLED
+        channels["injected"] = added.channel
+    for name, one in channels.items():
+        sampled = name in ("torque", "injected") or one.timing is Timing.SAMPLED
         if not sampled or abs(one.sample_time / period - 1.0) > 1e-9:
             raise RecordError(
                 f"{method} needs a sampled {name} at the torque's rate; this one is {one.timing.value} every "
                 f"{one.sample_time:g} s, and the torque comes every {period:g} s: resample it, or use DIDIM, which "
                 "needs no position."
             )
-    size = min(map(len, (torque, *acting, *(one for _, one in channels))))
-    values = sum((one.values[:size] for one in acting), torque.values[:size])
-    return replace(torque, values=values), tuple(one.values[:size] for _, one in channels)
+        if faults := finite_faults(name, one.values):
+            raise RecordError(faults)
+    size = min(map(len, channels.values()))
+    acting = np.sum([channels[name].values[:size] for name in ("torque", "injected") if name in channels], axis=0)
+    return replace(torque, values=acting), tuple(channels[name].values[:size] for name in names)
 
 
 # A joint
 
 
-def idim_channels(model: str) -> tuple[str, ...]:
-    """Return the channels that IDIM of a rigid or a flexible joint reads."""
-    return ("torque", "motor_position", *(("load_position",) if model == "flexible" else ()))
-
-
-def inverse_of_joint(joint: Joint, delay: float = 0.0, *, zeros: bool = False) -> Inverse:
-    """Return the inverse model of a joint.
+def inverse_of_joint(joint: Joint, delay: float = 0.0, parameters: tuple[Parameter, ...] = ()) -> Inverse:
+    """Return the inverse model of a joint; of a flexible one with `ENCODER_OFFSET`, the last parameter.
 
     Args:
-        joint: whose parameters come first.
+        joint: the model.
         delay: seconds from the controller's output to the torque that acts.
-        zeros: whether the encoders' zeros follow, see `ENCODER_OFFSET`.
+        parameters: of the joint, with other values and bounds than its own.
     """
-    names = tuple(p.name for p in (*joint.parameters, *((ENCODER_OFFSET,) if zeros else ())))
+    own = parameters or joint.parameters
 
-    def columns(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        motor, *load = (Motion(*side) for side in zip(q.T, v.T, a.T, strict=True))
-        own = joint.regressor(motor, load[0] if load else None).transpose(1, 0, 2)
-        offset = np.broadcast_to([[-1.0], [1.0]], (len(q), 2, 1))
-        return np.concatenate([own, offset], axis=2) if zeros else own
+    def columns(motion: MeasuredMotion) -> FloatArray:
+        motor, *load = (Motion(*side) for side in zip(motion.q.T, motion.v.T, motion.a.T, strict=True))
+        of_joint = joint.regressor(motor, *load).transpose(1, 0, 2)
+        offset = np.broadcast_to([[-1.0], [1.0]], (len(motion.q), 2, 1))
+        return np.concatenate([of_joint, offset], axis=2) if load else of_joint
 
-    def measure(records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
-        return motion_of_joint(records[0], delay, filtering, joint)
+    def numbers(values: FloatArray) -> Numbers:
+        return Numbers.of_joint(joint, {p.name: float(value) for p, value in zip(own, values, strict=False)})
 
-    return Inverse(names, 1, columns, measure)
-
-
-def motion_of_joint(record: Record, delay: float, filtering: Filtering, joint: Joint) -> MeasuredMotion:
-    """Return the motion of a record with the positions a joint needs.
-
-    Raises:
-        RecordError: a channel is missing, not sampled, or at another rate.
-    """
-    flexible = joint.model == "flexible"
-    said = "IDIM of a flexible joint" if flexible else "IDIM"
-    torque, each = torque_and_positions(record, joint, idim_channels(joint.model)[1:], said)
-    positions, sample_time = np.column_stack(each), torque.sample_time
-    filtering = filtering.resolve(sample_time, joint.model, find_noise_limit(positions.T, sample_time))
-    motion = motion_along([torque], positions, filtering, [_late(record, delay, sample_time)])
-    if filtering.timing != "respected":  # the published pipeline takes all rows
-        return motion
-    assert filtering.position_cutoff is not None
-    # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
-    kept = [steady_weights(side, filtering.position_cutoff, sample_time)[0 if flexible else 1] for side in motion.v.T]
-    return replace(motion, moving=np.column_stack(kept), apart=True)
+    return Inverse(joint, (*own, ENCODER_OFFSET) if joint.model == "flexible" else own, columns, numbers, delay)
 
 
 def _late(record: Record, delay: float, period: float) -> float:
@@ -421,43 +381,58 @@ def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
         raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
 
 
-def motion_of_robot(
-    robot: Robot,
+def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
+    """Return the inverse model of a robot of rigid joints."""
+
+    def columns(motion: MeasuredMotion) -> FloatArray:
+        return parameters.columns(robot, motion.q, motion.v, motion.a)
+
+    return Inverse(robot, parameters.parameters, columns, parameters.numbers)
+
+
+# From records to a motion
+
+
+def measure_motion(
+    system: Joint | Robot,
     records: Sequence[Record],
     filtering: Filtering,
-    said: str = "IDIM of a robot",
+    said: str = "IDIM",
+    *,
+    delay: float = 0.0,
     model: str = "rigid",
     smear: float = SMEAR,
 ) -> MeasuredMotion:
-    """Return the motion of a robot and its motors' torques.
+    """Return the motion of a joint's motor and load, or of a robot's joints, and their motors' torques.
 
     Args:
-        robot: whose coupling takes the motors' positions to the joints'.
-        records: of each joint, with torque and motor position behind the gear, on one clock.
+        system: the joint, or the robot, whose coupling takes the motors' positions to the joints'.
+        records: of the joint, or of each joint of the robot, on one clock; with torque and positions behind the gear.
         filtering: of positions and rows.
         said: the method, in the words of an error.
-        model: of the joints, whose cut-offs are taken where there are none: "rigid" or "flexible".
+        delay: seconds from the controller's output to the torque that acts.
+        model: of a robot's joints, whose cut-offs are taken where there are none: "rigid" or "flexible".
         smear: periods of the position filter on each side of a rest or a reversal that are left out with it.
 
     Raises:
-        RecordError: a channel is missing, or the joints' records have not one clock.
-        MethodError: a torque is 0 throughout.
+        RecordError: a channel is missing, not sampled, or at another rate; or the joints' records have not one clock.
+        MethodError: a torque of a robot is 0 throughout.
     """
     require_one_log(records)
-    if len(records) != len(robot):
-        raise RecordError(f"A robot of {len(robot)} joints needs as many records; received {len(records)}.")
-    channels, positions = [], []
-    for joint, link, record in zip(robot.joints, robot.links, records, strict=True):
+    robot = system if isinstance(system, Robot) else None
+    joints: list[Joint] = [cast("Joint", system)] if robot is None else [RigidJoint(link.kind) for link in robot.links]
+    if len(records) != len(joints):
+        raise RecordError(f"A robot of {len(joints)} joints needs as many records; received {len(records)}.")
+    channels, positions = list[Channel](), list[FloatArray]()
+    for axis, (joint, record) in enumerate(zip(joints, records, strict=True)):
         try:
-            torque, (position,) = torque_and_positions(record, RigidJoint(link.kind), ("motor_position",), said)
+            torque, each = torque_and_positions(record, joint, POSITIONS[: len(joint.sides)], said)
         except RecordError as error:
-            raise RecordError([f"{joint.name}: {fault}" for fault in error.faults]) from error
-        faults = [*finite_faults("torque", torque.values), *finite_faults("motor_position", position)]
-        if faults:
-            raise RecordError([f"{joint.name}: {fault}" for fault in faults])
+            if robot is None:
+                raise
+            raise RecordError([f"{robot.names[axis]}: {fault}" for fault in error.faults]) from error
         channels.append(torque)
-        positions.append(position)
-    require_torques(robot, [channel.values for channel in channels])
+        positions += each
     clocks = {round(channel.sample_time, 12) for channel in channels}
     if len(clocks) > 1:
         raise RecordError(
@@ -465,55 +440,52 @@ def motion_of_robot(
             "sample time: resample them."
         )
     sample_time, size = channels[0].sample_time, min(map(len, positions))
-    motors = np.column_stack([position[:size] for position in positions])
-    resolved = filtering.resolve(sample_time, model, find_noise_limit(motors.T, sample_time))
-    motion = motion_along(channels, motors, resolved)
-    assert resolved.position_cutoff is not None
-    moving = [steady_weights(each, resolved.position_cutoff, sample_time, smear, few=0.0)[1] for each in motion.v.T]
-    joints = np.linalg.inv(robot.coupling).T
-    measured = motion.torque
-    q, v, a = motion.q @ joints, motion.v @ joints, motion.a @ joints
+    raw, springs = np.column_stack([position[:size] for position in positions]), joints[0].model == "flexible"
+    delays = [_late(record, delay, sample_time) for record in records]
+    motion = motion_along(channels, raw, filtering, delays, model if robot else joints[0].model)
+    cutoff = motion.filtering.position_cutoff
+    if cutoff is not None and filtering.timing == "respected":  # the published pipeline takes all rows
+        few = _FEW if robot is None else 0.0
+        weights = [steady_weights(v, cutoff, sample_time, smear, few) for v in motion.v.T]
+        # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
+        moving = np.column_stack([moves if springs else steady for moves, steady in weights])
+        motion = replace(motion, moving=moving, apart=robot is None)
+    if robot is None:
+        return motion
+    require_torques(robot, [channel.values for channel in channels])
+    motion = turn(robot, motion)
     if payload := records[-1].payload:  # its torque is known
-        carried = inverse_columns(robot, q, v, a)[:, :, -len(SYMBOLS) - len(robot) : -len(robot)] @ payload
-        measured = measured - through_window(carried[:, :, np.newaxis], resolved)[:, :, 0]
-    return replace(motion, q=q, v=v, a=a, torque=measured, moving=np.column_stack(moving))
-
-
-def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
-    """Return the inverse model of a robot of rigid joints."""
-
-    def columns(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        return parameters.columns(robot, q, v, a)
-
-    def measure(records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
-        return motion_of_robot(robot, records, filtering)
-
-    return Inverse(parameters.names, len(robot), columns, measure)
+        last = slice(-len(SYMBOLS) - len(robot), -len(robot))
+        carried = inverse_columns(robot, motion.q, motion.v, motion.a)[:, :, last] @ payload
+        motion = replace(motion, torque=motion.torque - through_window(carried, motion.filtering))
+    return motion
 
 
 # Samples at rest or at a reversal, at which sticking friction does not follow ``Fc sign(v)``
 
 
-def moving_weights(velocity: FloatArray, long: int = _LONG, reach: int = _REACH) -> FloatArray:
+def moving_weights(
+    velocity: FloatArray, long: int = _LONG, reach: int = _REACH, *, turning: bool = False
+) -> FloatArray:
     """Return 0 for the samples at which a mass rests, and 1 for the others.
 
     Args:
         velocity: (samples,).
         long: samples in a row that are a rest.
         reach: samples on each side that count with it.
+        turning: whether a reversal, which is between two samples, counts as a rest.
     """
+    from scipy.ndimage import grey_dilation, grey_opening
+
     speed = np.abs(velocity)
-    slow = speed < REST * float(np.sqrt(np.mean(speed**2)))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]])))
-    begins, ends = edges[::2], edges[1::2]
-    rests = ends - begins >= long
-    return _leave_out(velocity.size, begins[rests], ends[rests], reach)
-
-
-def turning_weights(velocity: FloatArray, reach: int = _REACH) -> FloatArray:
-    """Return 0 for so many samples on each side of those at which a mass turns round, and 1 for the others."""
-    turns = np.flatnonzero(np.diff(np.sign(velocity))) + 1
-    return _leave_out(velocity.size, turns, turns, reach)
+    slow = (speed < REST * float(np.sqrt(np.mean(speed**2)))).astype(np.float64)
+    left = grey_dilation(grey_opening(slow, (long,), mode="constant"), (2 * reach + 1,), mode="constant")
+    if turning:
+        way = np.sign(velocity)
+        turns = np.diff(way, prepend=way[:1], append=way[-1:]) != 0.0
+        turns = (turns[1:] | turns[:-1]).astype(np.float64)
+        left = np.maximum(left, grey_dilation(turns, (2 * reach - 1,), mode="constant"))
+    return np.asarray(1.0 - left)
 
 
 def steady_weights(
@@ -533,14 +505,6 @@ def steady_weights(
         few: share of the moving samples; if less were left without reversals, these stay.
     """
     reach = math.ceil(smear / (cutoff * sample_time))
-    moving = moving_weights(velocity, max(_REST_LONG, 4 * reach), reach)
-    steady = moving * turning_weights(velocity, reach)
+    long = max(_REST_LONG, 4 * reach)
+    moving, steady = (moving_weights(velocity, long, reach, turning=turning) for turning in (False, True))
     return moving, moving if np.mean(steady) < few * np.mean(moving) else steady
-
-
-def _leave_out(size: int, begins: NDArray[np.intp], ends: NDArray[np.intp], reach: int) -> FloatArray:
-    """Return weights, (size,), that are 0 from each begin to each end, and so many samples on each side."""
-    weights = np.ones(size)
-    for begin, end in zip(begins, ends, strict=True):
-        weights[max(begin - reach, 0) : end + reach] = 0.0
-    return weights

@@ -33,7 +33,7 @@ from jointid.estimation.problems.inverse_model import (
     Records,
     each_log,
     join_rows,
-    motion_of_robot,
+    measure_motion,
     moving_weights,
     require_one_log,
     require_torques,
@@ -613,7 +613,7 @@ def _motion_log(robot: Robot, records: Sequence[Record], model: str, filtering: 
         raise MethodError(
             'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
         )
-    motion = motion_of_robot(robot, records, filtering, "The drive side of a robot", model, _SMEAR)
+    motion = measure_motion(robot, records, filtering, "The drive side of a robot", model=model, smear=_SMEAR)
     still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < _MOVES]
     if still:
         raise MethodError(

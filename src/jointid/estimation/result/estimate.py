@@ -528,7 +528,7 @@ def build_rows(
     """
     return tuple(
         EstimatedParameter(
-            p.name, p.symbol, unit(p), values[p.name], std.get(p.name), p.free,
+            p.name, p.symbol, unit(p), values[p.name], std.get(p.name) if p.free else None, p.free,
             of_joint=p.name.partition("@")[0] in of_joint, at_bound=held.get(p.name),
         )
         for p in parameters
@@ -558,7 +558,7 @@ def build_estimate(
         records: that were read; of a robot those of its joints, one log after the other.
         rows: the parameters.
         correlation: of the errors of the free ones, in their order.
-        torques: (samples,) each, measured and predicted; of a robot (samples, n).
+        torques: (samples, n) each, measured and predicted; of a joint n is 1, or they are (samples,).
         error: share of the filtered torque that the model leaves; of a robot (n,).
         fitted: rows of the filtered torque.
         end: why the search ended, and whether that is a good end.
@@ -570,7 +570,8 @@ def build_estimate(
         warnings: of the method.
         found: further parts of the estimate.
     """
-    (measured, predicted), borders = torques, settings.filtering.borders
+    measured, predicted = torques if robot is not None else (one.reshape(-1) for one in torques)
+    borders = settings.filtering.borders
     read = [record.torque for record in records if record.torque is not None]
     errors, names = np.atleast_1d(error), () if robot is None else robot.model.names
     logs = [read[at : at + errors.size] for at in range(0, len(read), errors.size)]

@@ -241,11 +241,11 @@ def _design_decimation(cutoff: float) -> tuple[FloatArray, FloatArray]:
 
 
 def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """First and second derivatives, exact to the fourth order.
+    """First and second derivatives along the first axis, exact to the fourth order.
 
     Ends are reflected about the end point, so two samples at each end are of lower order.
     """
-    p = np.pad(values, 2, mode="reflect", reflect_type="odd")
+    p = np.pad(values, [(2, 2)] + [(0, 0)] * (values.ndim - 1), mode="reflect", reflect_type="odd")
     first = (p[:-4] - 8 * p[1:-3] + 8 * p[3:-1] - p[4:]) / (12 * sample_time)
     second = (-p[:-4] + 16 * p[1:-3] - 30 * p[2:-2] + 16 * p[3:-1] - p[4:]) / (12 * sample_time**2)
     return np.asarray(first), np.asarray(second)

@@ -1,0 +1,260 @@
+"""Linear regressions of stacked equations: ordinary or weighted least squares, or instruments.
+
+**A torque of unstated timing** is one held from its stamp, or one sampled at it, half a sample earlier, which moves
+friction and inertia. The residual is a straight line between both readings, and so tells where between or beyond them
+its power is least. The reading that is nearer is taken. Each interval is widened by the change of its parameter up to
+the least power, and for two deviations of where that is.
+
+**Weights.** A robot has an equation for each joint, and their errors differ in size by powers of ten from base to
+wrist. Each joint's rows are divided by the size of its own error, again until that settles [Gautier 1997, who takes it
+once]. Least squares without weights ("ols") lets the large joints decide the wrist's parameters. A flexible joint's
+load has an equation without a torque, and is not weighted: by its own residual it would pull its unknowns towards 0.
+
+**Instruments** are columns Z free of the record's noise: ``Z' (Y - W x) = 0``. They are made anew with each solution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.text import number
+from jointid.records.record import Timing
+from jointid.solvers.regression import least_squares
+from jointid.uncertainty.covariance import Covariance, Influence, white
+
+_CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
+_LATEST = 8.0  # half samples: beyond, the residual is no straight line
+_FLAT = 1e-6  # of the noise: a change of less power is rounding
+_LEAST = 1e-24  # of the torque's power: less noise is rounding
+
+_TINY = 1e-12  # of the torque: a size that no error falls below
+_SETTLED = 1e-8  # relative: values that change by less with new weights have settled
+_CLOSE = 1e-3  # deviations: likewise with new instruments
+_TURNS, _SIMULATIONS = 100, 25  # of weights, and of instruments, at most
+
+Estimator: TypeAlias = Literal["ols", "weighted", "iv"]
+
+Instruments: TypeAlias = Callable[[FloatArray], FloatArray]
+"""The columns on the motion simulated with the values of all parameters, (rows, parameters)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A linear regression.
+
+    Attributes:
+        Y: (rows,) the torque, filtered and decimated; the rows of one equation after those of the other.
+        W: (rows, parameters) the columns.
+        names: of the parameters.
+        equations: how many share their instants.
+        driven: how many of them, the first, have the torque of a motor; the others are homogeneous.
+        early: (rows,) what the torque is more if it is read as sampled; None where all timings are stated.
+    """
+
+    Y: FloatArray
+    W: FloatArray
+    names: tuple[str, ...]
+    equations: int
+    driven: int = 1
+    early: FloatArray | None = None
+
+    def relative_errors(self, values: FloatArray) -> FloatArray:
+        """Return the residual share of each motor's torque, (driven,), that of a joint with its load's."""
+        left, whole = (one.reshape(self.driven, -1) for one in (self.Y - self.W @ values, self.Y))
+        return np.asarray(np.linalg.norm(left, axis=1) / np.linalg.norm(whole, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The result of an estimator.
+
+    Attributes:
+        rows: of all parameters. free: indices of those that neither a value nor a bound holds.
+        values: (parameters,) of all.
+        scale: (rows,) sizes of errors by which the rows were divided.
+        instruments: (rows, free) of the last turn; None of least squares.
+        turns: solutions that were made. converged: whether the last ones settled.
+        held: values of the parameters that a bound holds, by name.
+        further: (parameters,) deviations beside those of the rows.
+        timing: how torques of unstated timing were read; None where all are stated. said: of that, in a sentence.
+    """
+
+    rows: Rows
+    free: list[int]
+    values: FloatArray
+    scale: FloatArray
+    instruments: FloatArray | None = None
+    turns: int = 1
+    converged: bool = True
+    held: Mapping[str, float] = field(default_factory=dict)
+    further: FloatArray | float = 0.0
+    timing: Timing | None = None
+    said: tuple[str, ...] = ()
+
+    def fix(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+        """Return the parameters, those that a value or a bound holds fixed there."""
+        pairs = enumerate(zip(parameters, map(float, self.values), strict=True))
+        return tuple(p if i in self.free else p.fix(value) for i, (p, value) in pairs)
+
+    @property
+    def residual(self) -> FloatArray:
+        """Of the rows as they are, not weighted, (rows,)."""
+        return self.rows.Y - self.rows.W @ self.values
+
+    @cached_property
+    def covariance(self) -> Covariance:
+        """Robust to autocorrelation, and to what the weights are; of fixed parameters 0.
+
+        Of least squares along a measured motion it is widened for that. The equation of a load contains no torque and
+        little noise, so its residual is mostly model error, which repeats: deviations are widened by those over
+        frequency bands.
+        """
+        rows, per_row, error = self.rows, self.scale[:, np.newaxis], self.residual / self.scale
+        Z = None if self.instruments is None else self.instruments / per_row
+        influence = Influence(rows.W[:, self.free] / per_row, error, Z, rows.equations)
+        found = influence.robust() if rows.driven > 1 else influence.by_time()
+        if rows.equations > rows.driven:
+            of_load = error.copy()
+            of_load[: error.size // rows.equations * rows.driven] = 0.0
+            found = replace(influence, error=of_load).widen_for_bands(found)
+        found = influence.widen_for_motion(found) if Z is None else found
+        std, correlation = np.zeros(self.values.size), np.eye(self.values.size)
+        std[self.free], correlation[np.ix_(self.free, self.free)] = found.std, found.correlation
+        return Covariance(np.hypot(std, self.further), correlation)
+
+
+def solve_rows(
+    rows: Rows,
+    estimator: Estimator,
+    known: Mapping[str, Parameter],
+    instruments: Instruments | None = None,
+    turns: int = _TURNS,
+) -> Solution:
+    """Return the solution of all parameters, some of which are fixed, or held by a bound.
+
+    Unless an inertia is below 0, what violates a bound most, in deviations, is held there, and the rest solved again.
+    A torque of unstated timing is read in both ways.
+
+    Args:
+        rows: of all parameters.
+        estimator: its name.
+        known: values and bounds by name; of others there are none.
+        instruments: of "iv" alone.
+        turns: of weights, at most.
+
+    Raises:
+        MethodError: all parameters are fixed, the rows do not determine those that are not, or the estimator is not for
+            them.
+    """
+    if estimator == "iv" and instruments is None:
+        raise MethodError(
+            'The estimator "iv" simulates the loop for its instruments; expected the controller of each joint: '
+            "give it, or use another estimator."
+        )
+    if estimator == "weighted" and rows.equations > rows.driven:
+        raise MethodError('The estimator "weighted" is for a robot; received a flexible joint: use "ols" or "iv".')
+    if rows.early is not None:
+        readings = (replace(rows, Y=Y, early=None) for Y in (rows.Y, rows.Y + rows.early))
+        return _read_timing(*(solve_rows(one, estimator, known, instruments, turns) for one in readings))
+    stated = [known.get(name) or Parameter(name, name, Quantity.RATIO) for name in rows.names]
+    fixed = {name: p.start or 0.0 for name, p in zip(rows.names, stated, strict=True) if not p.free}
+    held, made, bounds = dict[str, float](), 0, Bounds.of(stated)
+    while True:
+        found = _settle(rows, estimator, fixed | held, instruments, turns)
+        made += found.turns
+        values, std = found.values, found.covariance.std
+        there = np.where(np.isin(np.arange(values.size), found.free), bounds.clip(values), values)
+        outside = np.flatnonzero(there != values)
+        # No bound, nor one of another, is a remedy of an inertia below 0.
+        if not outside.size or any(stated[i].quantity is Quantity.INERTIA and values[i] <= 0.0 for i in outside):
+            return replace(found, turns=made, held=held)
+        sizes = np.where(std > 0.0, std, np.where(values == 0.0, 1.0, np.abs(values)))
+        most = outside[np.argmax(np.abs(there - values)[outside] / sizes[outside])]
+        held[rows.names[most]] = float(there[most])
+
+
+def _settle(
+    rows: Rows, estimator: Estimator, fixed: Mapping[str, float], instruments: Instruments | None, turns: int
+) -> Solution:
+    """Solve again with the weights, and with the instruments, of the values before, until these settle.
+
+    Instruments begin at least squares, of several motors weighted.
+    """
+    values = np.array([fixed.get(name, 0.0) for name in rows.names])
+    free = [i for i, name in enumerate(rows.names) if name not in fixed]
+    if not free:
+        raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
+    left = replace(rows, Y=rows.Y - rows.W @ values, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
+    found = Solution(rows, free, values, np.ones(rows.Y.size))
+    values[free] = _solve(left, found.scale)
+    for make in {"ols": (), "weighted": (None,), "iv": (None, instruments)}[estimator]:
+        found = replace(found, turns=0, converged=False)
+        while found.turns < (turns if make is None else _SIMULATIONS) and not found.converged:
+            Z, before = None if make is None else make(found.values)[:, free], found.values
+            scale, values = _scale(rows, found.residual), before.copy()
+            values[free] = _solve(left, scale, Z)
+            close = _SETTLED * np.abs(before[free])
+            if Z is not None:
+                close = _CLOSE * white(left.W / scale[:, np.newaxis], (rows.Y - rows.W @ values) / scale).std
+            settled = bool(np.all(np.abs(values - before)[free] <= close))
+            found = Solution(rows, free, values, scale, Z, found.turns + 1, settled)
+    return found
+
+
+def _solve(rows: Rows, scale: FloatArray, instruments: FloatArray | None = None) -> FloatArray:
+    """Return the values that solve ``Z' (Y - W x) = 0``, rows divided by a scale, (rows,); Z is W when None."""
+    W, Y = rows.W / scale[:, np.newaxis], rows.Y / scale
+    if instruments is None:
+        return least_squares(W, Y, rows.names)
+    Z = instruments / scale[:, np.newaxis]
+    least_squares(Z, Y, rows.names)  # which refuses a motion that does not determine them
+    norms = np.linalg.norm(Z, axis=0)
+    return np.asarray(np.linalg.solve((Z / norms).T @ (W / norms), (Z / norms).T @ Y) / norms)
+
+
+def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
+    """Return the size of each row's error, (rows,), that of its equation; 1 where a joint's are not weighted."""
+    if rows.equations > rows.driven:
+        return np.ones(residual.size)
+    least, stated = _TINY * float(np.sqrt(np.mean(rows.Y**2))), np.any(rows.W != 0.0, axis=1)
+    powers, seen = (np.sum(one.reshape(rows.equations, -1), axis=1) for one in (residual**2, stated))
+    sizes = np.sqrt(powers / np.maximum(seen, 1))  # a joint that rests leaves rows of zeros
+    return np.repeat(np.maximum(sizes, least), residual.size // rows.equations)
+
+
+def _read_timing(held: Solution, sampled: Solution) -> Solution:
+    """Return the solution whose reading of the torque the record shows, widened by what it leaves open.
+
+    Args:
+        held: solution of a held torque.
+        sampled: that of a sampled one.
+    """
+    each = np.array([held.residual, sampled.residual]).reshape(2, held.rows.driven, -1)
+    power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1
+    each /= np.sqrt(np.maximum(power, _LEAST * np.mean(held.rows.Y**2)))[:, np.newaxis]
+    change = each[1] - each[0]
+    size = float(np.sum(change**2))
+    timing, away, where = Timing.HELD, 1.0, "the other reading is as possible"  # half samples that are open
+    if size > _FLAT:
+        best, spread = -float(np.sum(each[0] * change)) / size, 2 * _CORRELATED / np.sqrt(size)
+        best = float(np.clip(best, -_LATEST, _LATEST))
+        late = abs(best - 1.0) < abs(best)
+        timing, away = Timing.SAMPLED if late else Timing.HELD, abs(best - late) + min(spread, 1.0)
+        where = (
+            f"the record puts it {number(0.5 * best, 2)} ± {number(0.5 * spread, 2)} samples before held (sampled is "
+            "0.5, averaged 1)"
+        )
+    said = (
+        f"it is not stated whether the torque is held or sampled: it is read as {timing}, and {where}; the intervals "
+        "cover that; state timing of its channel"
+    )
+    by = 0.5 * away * np.abs(sampled.values - held.values)
+    return replace(sampled if timing is Timing.SAMPLED else held, further=by, timing=timing, said=(said,))
