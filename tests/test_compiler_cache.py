@@ -44,7 +44,7 @@ def run(folder: Path, *full: str) -> tuple[float, int]:
 
 def test_a_change_of_any_kernel_or_tuple_is_another_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "__file__", str(tmp_path / "common" / "compiled.py"))
-    paths = [tmp_path / name for name in ("common/compiled.py", "simulation/kernels/affine.py", "simulation/plant.py")]
+    paths = [tmp_path / one for one in ("common/compiled.py", "simulation/kernels/laws.py", "models/robots/robot.py")]
     found = set()
     for text in ("one", "two"):
         for path in paths:

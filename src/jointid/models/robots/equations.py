@@ -58,7 +58,7 @@ ROOM = FREE + 28
 _MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = (FREE + column for column in (0, 1, 4, 10, 16, 25))
 
 
-@inline_kernel
+@compile_kernel
 def of_joints(joints: FloatArray, values: FloatArray) -> FloatArray:
     """Return positions or velocities of the joints from those of the shafts."""
     out = np.zeros(values.size)
@@ -68,7 +68,7 @@ def of_joints(joints: FloatArray, values: FloatArray) -> FloatArray:
     return out
 
 
-@inline_kernel
+@compile_kernel
 def to_shafts(joints: FloatArray, matrix: FloatArray) -> None:
     """Take a matrix of the joints, torques by positions, to one of the shafts, in place."""
     n = len(joints)

@@ -53,7 +53,7 @@ WIDE = 4 * LANES  # derivatives of a state
 _S, _T, _Z, _D, _EXPLICIT, SCRATCH = (LANES * row for row in (0, 4, 8, 10, 11, 12))
 
 
-@inline_kernel
+@compile_kernel
 def two_masses(mass: FloatArray, spring: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the numbers of the first two masses and their spring; a rigid joint has a load that nothing pushes."""
     masses, springs = np.zeros((2, MASS + 1)), np.zeros((1, SPRING))

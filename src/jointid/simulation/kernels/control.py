@@ -18,7 +18,7 @@ OFTEN = 64  # periods after which that is checked
 _LINE = 8  # numbers of a cache line
 
 
-@inline_kernel
+@compile_kernel
 def small_law(loop: SampledLoop, nz: int) -> SmallLaw:
     """Return a law of one element, one phase and two states at most as numbers, which stay in registers.
 
@@ -116,7 +116,7 @@ def control_slopes(
             dz[s, c] = fresh[s, c]
 
 
-@inline_kernel
+@compile_kernel
 def aligned_zeros(size: int) -> FloatArray:
     """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
     room = np.zeros(size + _LINE)
