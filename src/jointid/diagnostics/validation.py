@@ -379,10 +379,10 @@ def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
         start = parameters.to_search_variables(parameters.group(runs[0].numbers if runs else numbers))
         nominal = partial(problem.left_by, nominal_numbers(robot, numbers)) if robot.has_masses else None
     if runs is None or outcome_of(runs) is not Outcome.FINISHED:
-        what = "motor positions and torques" if problem.motion_measured else "references"
+        what = "motor positions and torques" if problem.log.motion_measured else "references"
         raise MethodError(f"What was identified cannot be simulated along this record; check its {what}.")
     (run,), error, log = runs, problem.error(runs), problem.log
-    if problem.motion_measured:
+    if log.motion_measured:
         path, speed = (one[:: log.parts] for one in (log.prescribed.position, log.prescribed.velocity))
         compared = log.motion.moving
     else:
