@@ -159,15 +159,6 @@ def test_a_loop_that_runs_away_ends_a_search_and_no_program(size: float) -> None
     assert solve(Runaway(size=size), LevenbergMarquardt(1e-10), START).x[0] <= 0.0
 
 
-def test_several_starts_say_how_many_agree() -> None:
-    end = solve(Rosenbrock(), LevenbergMarquardt(1e-10), np.array([START, [2.0, 4e-12]]))
-    assert end.starts == (2, 2)
-    assert "(2 of 2 starts end there)" in end.message
-    apart = solve(Cliff(), LevenbergMarquardt(1e-10), np.array([START, [2.0, 4e-12]]))
-    assert apart.starts == (1, 2)
-    assert apart.x[0] <= 0.0
-
-
 PROVOKED: dict[Status, Callable[[], Solution]] = {
     Status.STEP: lambda: solve(REGRESSIONS[0], LevenbergMarquardt(1e-3), np.array(REGRESSIONS[0].starts[0])),
     Status.COST: lambda: solve(Rosenbrock(upper=0.5), LevenbergMarquardt(1e-8), START),

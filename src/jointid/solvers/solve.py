@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol, TypeAlias
 
@@ -16,7 +16,6 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.parameters import Bounds, Parameter
 
-_SAME = 1e-4  # of the criterion: two ends so near are one
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
 _SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
@@ -288,21 +287,12 @@ def explain(status: Status, evaluations: int, tolerance: float) -> str:
 
 
 def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Watch = lambda _: None) -> Solution:
-    """Solve a problem from a start, or from several, and return the best end.
+    """Solve a problem from a start.
 
     Args:
         problem: left unchanged; a `Counted` one keeps its count and cache.
         solver: with its settings.
-        start: (free,) or (starts, free), clipped to the bounds.
+        start: (free,), clipped to the bounds.
         watch: callback for every step.
     """
-    counted, bounds = Counted.of(problem), Bounds.of(problem.free)
-    before = counted.evaluations
-    starts = np.atleast_2d(np.asarray(start, dtype=np.float64))
-    ends = [solver.solve(counted, bounds.clip(x), watch) for x in starts]
-    costs = [float(np.linalg.norm(end.residual)) ** 2 for end in ends]
-    best = ends[int(np.argmin(costs))]
-    same = sum(cost <= (1 + _SAME) * min(costs) for cost in costs)
-    agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
-    used = counted.evaluations - before
-    return replace(best, message=best.message + agreed, evaluations=used, starts=(same, len(ends)))
+    return solver.solve(problem, Bounds.of(problem.free).clip(start), watch)
