@@ -293,7 +293,7 @@ def search_spring(
     divided = divide_coulomb_friction(on, x, history) if together > 1 else None
     if divided is not None:
         x, together = divided, 1
-    found = history.solve(on, x, ROUGH)
+    found = history.solve(on, x, ROUGH if together < 2 else None)
     # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
     followed = frequency_of(found.values) <= FASTEST / on.sample_time
     while followed and together < 2 and tried < len(ends) + _BESIDE:
@@ -304,7 +304,7 @@ def search_spring(
         one, other = ((end.norm, frequency_of(end.values)) for end in (beside, found))
         together = 1 + _agree(one, other, on.size)
         break
-    found = history.solve(on, found.x) if together > 1 else found
+    found = history.solve(on, found.x) if together > 1 and tried > len(ends) else found
     message = f"{found.solution.message}; {together} of {tried} starts led there"
     return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
 
