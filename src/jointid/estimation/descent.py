@@ -268,12 +268,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History
 
 
 def law_starts(
-    joint: Joint,
-    linear: Joint,
-    values: Mapping[str, float],
-    run: Run,
-    axis: int,
-    given: Mapping[str, float | None],
+    joint: Joint, linear: Joint, values: Mapping[str, float], run: Run, axis: int, given: Mapping[str, float | None]
 ) -> list[dict[str, float]]:
     """Return the starts of the search of a joint's laws, each with the values of all its parameters.
 
