@@ -82,6 +82,7 @@ _OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at 
 _FALLING = 0.7  # of its error before a step: a descent that is on its way
 _POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
 _SHOWN = 4.0  # standard deviations by which a compliance differs from 0
+_NONE = 1e-9  # N m: bounds of a torque that nothing tells
 _COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first descent leads nowhere
 _FIRST = 12  # evaluations of a rough descent, mostly enough
 _ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
@@ -306,6 +307,10 @@ class _Search:
             MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
         """
         problem = self.pose(under, through, rigid=True)
+        if not self.along and any(one is not None and one.axis.law.integrates for one in problem.log.seen):
+            # No position shows a constant torque: the integral takes whatever is added.
+            hidden = {p.name: replace(p, lower=-_NONE, upper=_NONE) for p in problem.free if p.name.endswith(".offset")}
+            problem = replace(problem, parameters=apply_constraints(problem.parameters, hidden))
         if self.along:
             # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not,
             # down to what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.
