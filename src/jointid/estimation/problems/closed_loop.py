@@ -118,10 +118,6 @@ class ClosedLoopProblem(Simulated):
         """Return the problem with parameters fixed at these values, by name; others are not added."""
         return self.replace_parameters({p.name: p.fix(values[p.name]) for p in self.parameters if p.name in values})
 
-    def all_free(self) -> ClosedLoopProblem:
-        """Return the problem with every parameter free, so that every derivative is there."""
-        return self.replace_parameters({p.name: replace(p, free=True) for p in self.parameters})
-
     def freeing(self, *names: str) -> ClosedLoopProblem:
         """Return the same problem with more of what surrounds the joint free.
 

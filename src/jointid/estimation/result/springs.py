@@ -38,6 +38,7 @@ from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Sub
 from jointid.estimation.spring_search import FASTEST, crossover, divide, frequency_of
 from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.plant import Numbers
 from jointid.solvers.solve import LevenbergMarquardt, Solution, Tally, damped_step, solve
 from jointid.uncertainty.covariance import Influence, white
 from jointid.uncertainty.identifiability import Identifiability, Known, find_separable, sums_of
@@ -222,12 +223,12 @@ def _doubts(
 
 def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
     """Return the effects of springs on the residual, each (rows, 1), at some load shares and modes."""
-    cutoff, free = problem.filtering.cutoff or 0.0, problem.all_free()
-    divided = divide(problem.parameters, rigid, 1.0)
+    cutoff, divided = problem.filtering.cutoff or 0.0, divide(problem.parameters, rigid, 1.0)
 
     def residual_at(at: tuple[float, float]) -> FloatArray:
         values = divided | split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
-        return free.residual(free.vector(values))
+        numbers = Numbers.of_joint(problem.joint, values)
+        return problem.error(problem.runs_of(numbers, keep=False))
 
     tried = in_threads(residual_at, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
     size = 10 * float(np.linalg.norm(problem.filter(problem.measured)))

@@ -150,7 +150,7 @@ class Report:
             "frequencies": {} if self.response is None else self.response.modes,
             "tuning": self.tuned,
         }
-        return dumps(plain(contents) | plain(self.repetition))
+        return dumps(contents | plain(self.repetition))
 
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""
