@@ -94,7 +94,7 @@ def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness
     """
     from scipy.stats import chi2
 
-    e = _within(error, sample_time, cutoff)
+    e = _within(error / (np.max(np.abs(error)) or 1.0), sample_time, cutoff)  # squares of rounding are 0
     if e.size < _ROWS_PER_LAG * _LAGS or not np.any(e):
         return None
     products = [e[lag:] * e[:-lag] for lag in range(1, _LAGS + 1)]
