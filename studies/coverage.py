@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from jointid.estimation.descent import descend
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.paper.reproduce import inverse_model_deviations
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering

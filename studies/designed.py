@@ -16,7 +16,7 @@ import numpy as np
 
 import jointid as ji
 from jointid.estimation.descent import descend
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.models.limits import find_excess
 from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.simulation.loop_input import prepare

@@ -11,7 +11,7 @@ import numpy as np
 from jointid.common.errors import JointidError
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.identify import identify
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Record
 from tests.plants import Case, prismatic, rotary

@@ -11,7 +11,7 @@ from typing import Literal
 
 from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History, descend
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
 from jointid.estimation.spring_search import frequency_of, on_band
 from jointid.paper.twin import Twin, twin

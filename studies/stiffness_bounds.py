@@ -18,7 +18,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.identify import identify
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.springs import SHARES
 from jointid.estimation.spring_search import on_band
 from jointid.models.controllers import PID, Cascade, Controller

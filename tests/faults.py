@@ -12,7 +12,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.descent import descend
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.records.record import Record

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.parameters import INITIAL_STATE
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.models.controllers import POSITION
 from jointid.paper.twin import CONTROLLERS, twin
 from jointid.records.record import Channel, Timing
@@ -61,7 +61,7 @@ def test_the_inverse_model_s_deviations_are_not_those_of_the_torque() -> None:
     problem = torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), axis.loop.joint.parameters, fixed)
     truth = axis.truth
     x = problem.vector(truth)
-    _, _, raw = problem.sensitivities(x)
+    raw = problem.log.columns(*problem.run(x), problem.keys)[0]
     run = problem.simulate(x)
     columns = problem.loop.joint.regressor(run.motor, run.load)
     J, W = problem.filter(raw), np.concatenate([problem.filter(row) for row in columns])

@@ -12,7 +12,7 @@ from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.explain import explain_failure, find_causes
 from jointid.diagnostics.model_free import find_plain_cause, find_steps, find_unexplained_share
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
 from jointid.models.controllers import Cascade, with_numbers
 from jointid.models.joints import ClosedLoop, RigidJoint

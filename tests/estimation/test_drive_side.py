@@ -6,7 +6,7 @@ import pytest
 import jointid as ji
 from jointid.estimation.methods.drive_side import motion_problem
 from jointid.estimation.parameters import log_delay
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.simulation.drive_side import DriveSide

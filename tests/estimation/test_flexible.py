@@ -11,7 +11,7 @@ from jointid.diagnostics.intervals import intervals
 from jointid.estimation.descent import History
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.spring_search import divide_coulomb_friction
 from jointid.paper.twin import Twin, twin

@@ -10,7 +10,7 @@ from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History
 from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
 from jointid.estimation.parameters import INITIAL
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
 from jointid.models.controllers import Cascade
 from jointid.paper.twin import twin

@@ -6,7 +6,7 @@ import pytest
 import jointid as ji
 from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History, search_rigid_joint
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.rigid_starts import inversion_start, regular_start
 from jointid.models.controllers import Cascade
 from jointid.simulation.synthesis import simulated_record

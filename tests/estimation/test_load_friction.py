@@ -9,7 +9,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import FAULTS
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.models.controllers import Cascade
 from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, RigidJoint

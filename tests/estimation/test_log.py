@@ -13,8 +13,7 @@ import pytest
 import jointid as ji
 from jointid.estimation.identify import windows_of
 from jointid.estimation.pieces import WindowsOfLog, begin_window
-from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.problems.simulated import LoopLog
+from jointid.estimation.problems.simulated import LoopLog, torque_problem
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
 from jointid.paper.twin import CONTROLLERS, TABLE_2

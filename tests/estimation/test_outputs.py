@@ -10,8 +10,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.parameters import robot_parameters
-from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.problems.simulated import pose_robot
+from jointid.estimation.problems.simulated import pose_robot, torque_problem
 from jointid.output.figures import AxisSignals
 from jointid.paper.twin import twin
 from jointid.records.chunks import cut

@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.models.controllers import Cascade
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record

@@ -9,7 +9,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.descent import History, Solved
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.models.springs import Spring
 from studies.mechanics import Spoiled, spoiled
 from tests.estimates import identify

@@ -9,7 +9,7 @@ import pytest
 import jointid as ji
 from jointid.estimation.parameters import INITIAL_STATE
 from jointid.estimation.pieces import GAIN, Layout, share_parameters
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 

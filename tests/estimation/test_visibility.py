@@ -11,7 +11,7 @@ from jointid.common.messages import ignore_progress
 from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import POOR_FIT, told_bounds

@@ -10,7 +10,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.simulated import torque_problem
 from jointid.models.controllers import PD, Cascade, shift_start
 from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint

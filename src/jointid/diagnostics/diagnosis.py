@@ -28,7 +28,7 @@ from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_c
 from jointid.diagnostics.score import SolvedLoop
 from jointid.diagnostics.search import MOST, search_axes, search_faults
 from jointid.diagnostics.suspects import AxisFaults
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason, Subject
 from jointid.models.controllers import Controller

@@ -45,7 +45,7 @@ from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.parameters import DELAYS, INITIAL, OF_LOG
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
 from jointid.estimation.rigid_starts import rigid_starts

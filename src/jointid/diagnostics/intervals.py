@@ -14,7 +14,7 @@ from typing import TypeAlias
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import IN_WINDOWS, Estimate, fingerprint
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import compute_controller_torque

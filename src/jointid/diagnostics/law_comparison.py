@@ -31,7 +31,7 @@ from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.parameters import INITIAL, adjust_parameters
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.springs import fit_rigid
 from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint

@@ -27,7 +27,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import join, number, pluralise
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop

@@ -44,7 +44,7 @@ from jointid.diagnostics.suspects import (
 )
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.parameters import surrounding
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record

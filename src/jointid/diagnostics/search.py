@@ -58,7 +58,7 @@ from jointid.diagnostics.suspects import (
     OtherLaw,
 )
 from jointid.estimation.descent import descend, least_squares
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.records.record import Record

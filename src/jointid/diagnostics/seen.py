@@ -9,7 +9,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Spring

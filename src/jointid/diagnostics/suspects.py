@@ -17,7 +17,7 @@ from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction

@@ -30,7 +30,6 @@ from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.methods.drive_side import motion_problem
 from jointid.estimation.parameters import LOG_DELAY, robot_parameters
-from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
     inverse_of_joint,
@@ -38,7 +37,7 @@ from jointid.estimation.problems.inverse_model import (
     require_one_log,
     through_window,
 )
-from jointid.estimation.problems.simulated import outcome_of, pose_robot
+from jointid.estimation.problems.simulated import outcome_of, pose_robot, torque_problem
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.verdict import POOR_FIT, scale_check
 from jointid.estimation.rigid_starts import fit_initial_state

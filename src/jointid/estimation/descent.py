@@ -22,7 +22,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import number, pluralise
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
+from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import REFERENCE
 from jointid.models.friction import PARTS, MotionSize
 from jointid.models.joints import FlexibleJoint, Joint

@@ -45,7 +45,7 @@ from jointid.common.messages import Detail, Progress, follow
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import join
 from jointid.estimation.parameters import INITIAL, adjust_parameters, of_law
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position
+from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position
 from jointid.estimation.result.agreement import Alone, Window, compare_records, drift
 from jointid.estimation.result.estimate import (
     Estimate,

@@ -18,7 +18,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.estimation.descent import Solved
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.problems.inverse_model import (
     Inverse,
     inverse_of_joint,
@@ -27,6 +26,7 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
 )
 from jointid.estimation.problems.regression import solve_rows
+from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.models.controllers import POSITION, REFERENCE, invert
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing

@@ -42,8 +42,7 @@ from jointid.common.transmission import SIDES
 from jointid.estimation.descent import ROUGH, History, Solved, is_significant, search_rigid_joint
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.parameters import INITIAL, INITIAL_STATE, RobotParameters
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.simulated import Simulated, outcome_of
+from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, outcome_of, torque_problem
 from jointid.estimation.rigid_starts import first_state, reconstructed_position, regular_start, rigid_starts
 from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import FlexibleJoint, acts_on_whole, split_by_mode, spring_at

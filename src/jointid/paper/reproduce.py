@@ -26,7 +26,7 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.parameters import INITIAL_STATE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.spring_search import start_with_mode
 from jointid.paper.tables import DENOMINATORS, SYMBOLS, TABLES, compare_table, sum_sides
 from jointid.paper.twin import Twin, twin

@@ -31,7 +31,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
 from jointid.common.text import number
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, FlexibleJoint

@@ -41,7 +41,7 @@ from jointid.estimation.methods.registry import (
     Task,
 )
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, require_free, torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, require_free, torque_problem
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem, warn_of_limit
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks

@@ -27,7 +27,6 @@ from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import History, Solved
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.parameters import LOG_DELAY, log_delay
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, require_free
 from jointid.estimation.problems.inverse_model import (
     SAID,
     motion_along,
@@ -35,7 +34,7 @@ from jointid.estimation.problems.inverse_model import (
     steady_weights,
     torque_and_positions,
 )
-from jointid.estimation.problems.simulated import MotionLog
+from jointid.estimation.problems.simulated import ClosedLoopProblem, MotionLog, require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem
 from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
 from jointid.models.joints import FlexibleJoint
@@ -159,7 +158,7 @@ class DriveSideFit(Method):
             [record],
             rows_of_problem(problem, x, covariance, error, J),
             covariance.correlation,
-            (problem.measured, problem.torque(x)),
+            (problem.measured, problem.predict(problem.run(x))),
             problem.filtered_error(error),
             error.size,
             (found.message, found.converged),

@@ -32,7 +32,7 @@ from jointid.common.messages import Message
 from jointid.common.parameters import Bounds
 from jointid.common.text import number
 from jointid.estimation.descent import History
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import find_active_bounds
 from jointid.estimation.spring_search import crossover
 from jointid.models.joints import RigidJoint

@@ -27,7 +27,6 @@ from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.common.text import join, pluralise
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.parameters import RobotParameters, robot_parameters
-from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
     POSITIONS,
@@ -39,6 +38,7 @@ from jointid.estimation.problems.inverse_model import (
     through_window,
 )
 from jointid.estimation.problems.regression import Estimator, Instruments, Rows, Solution, solve_rows
+from jointid.estimation.problems.simulated import require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, build_rows
 from jointid.estimation.result.verdict import Check, Reason, Subject, check_of
 from jointid.models.controllers import Controller

@@ -34,7 +34,7 @@ from jointid.uncertainty.identifiability import Identifiability
 
 if TYPE_CHECKING:
     import jointid
-    from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+    from jointid.estimation.problems.simulated import ClosedLoopProblem
     from jointid.estimation.robots.didim import RobotFit
     from jointid.estimation.robots.simulated import IdentifiedRobot
     from jointid.records.record import Record

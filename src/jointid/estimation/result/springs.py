@@ -32,7 +32,7 @@ from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.estimation.descent import History, descend, with_linear_spring
 from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_force
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
 from jointid.estimation.spring_search import FASTEST, crossover, divide, frequency_of
