@@ -73,7 +73,7 @@ INITIAL = tuple(p.name for p in (*INITIAL_STATE, INITIAL_TORQUE))
 
 _MOST_LATE = 20.0  # samples that the log may be late, or early
 _LEFT_OPEN = 2.0  # samples: an averaged torque acts one sooner than a held one
-_INITIAL = {p.name: p for p in INITIAL_STATE}
+_BESIDE_LAW = {p.name: p for p in INITIAL_STATE} | OF_LOG
 _PARTS = ("integral_gain", "time_constant")  # numbers that are a part of the law: at 0 it is not there
 _POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
 _ROOM = 1e-3  # below what a law cannot have: a derivative by differences also evaluates outside the value
@@ -104,13 +104,11 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     Raises:
         MethodError: nothing around a joint has that name; the sentence says what has one.
     """
-    if name in _INITIAL:
-        return _INITIAL[name]
-    if name in OF_LOG:
-        return replace(OF_LOG[name], free=True)
+    if name in _BESIDE_LAW:
+        return replace(_BESIDE_LAW[name], free=True)
     numbers = numbers_of(controller)
     if name not in numbers:
-        known = ", ".join((*_INITIAL, *OF_LOG, *numbers))
+        known = ", ".join((*_BESIDE_LAW, *numbers))
         raise MethodError(f'Nothing around this joint is called "{name}"; what can be freed is {known}.')
     value, symbol = numbers[name], name.rpartition(".")[2]
     if not math.isfinite(value):

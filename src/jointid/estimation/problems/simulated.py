@@ -33,10 +33,10 @@ from jointid.estimation.parameters import (
     LOG_DELAY,
     OF_LOG,
     RobotParameters,
+    log_delay,
     of_law,
     surrounding,
 )
-from jointid.estimation.parameters import log_delay as delay_of_log
 from jointid.estimation.problems.inverse_model import (
     MeasuredMotion,
     Records,
@@ -187,18 +187,15 @@ class LoopLog:
         if self.tree is not None:
             return differentiate(run, keys)[0]
         values, seen = run.numbers.values[0], self.seen[0] if self.seen else None
-        names = [place.name for place in keys]
-        wanted = [name for name in names if name not in OF_LOG]
-        (slopes,), moved = differentiate(run, [Place(0, name) for name in wanted], positions=seen is not None)
-        slopes = slopes if seen is None else seen.slopes(moved[:, 0])
-        shown = _show(slopes, values, self.sample_time)
-        if wanted == names:
+        own = [key for key in keys if key.name not in OF_LOG]
+        (slopes,), moved = differentiate(run, own, positions=seen is not None)
+        shown = _show(slopes if seen is None else seen.slopes(moved[:, 0]), values, self.sample_time)
+        if len(own) == len(keys):
             return [shown]
-        columns = dict(zip(wanted, shown.T, strict=True))
-        raw = self._output(run)
+        columns, raw = {key.name: column for key, column in zip(own, shown.T, strict=True)}, self._output(run)
         columns["log_gain"] = _show(raw, {**values, "log_gain": 1.0}, self.sample_time)[:, 0]
         columns["log_delay"] = _show(raw, values, self.sample_time, 1)[:, 0]
-        return [np.column_stack([columns[name] for name in names])]
+        return [np.column_stack([columns[key.name] for key in keys])]
 
     def slopes(self, run: Run, keys: Sequence[Place]) -> FloatArray:
         """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
@@ -340,9 +337,10 @@ def decimate_each(log: Log, each: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate(in_threads(lambda j: log.decimate_joint(j, each[j]), range(len(each))))
 
 
-def _error(log: Log, run: Any) -> FloatArray:
-    """Return measured less predicted torques, (samples, n); of a run that failed, something large."""
-    return log.measured - log.predict(run) if run.outcome is Outcome.FINISHED else _FAILED * log.measured
+def _filter_error(log: Log, run: Any) -> FloatArray:
+    """Return measured less predicted torques, filtered, (rows,); of a run that failed, something large."""
+    error = log.measured - log.predict(run) if run.outcome is Outcome.FINISHED else _FAILED * log.measured
+    return decimate_each(log, list(error.T))
 
 
 def _in_blocks(of: Callable[[Any], FloatArray], keys: Sequence[Place]) -> FloatArray:
@@ -462,7 +460,7 @@ class Simulated:
 
     def error(self, runs: Runs) -> FloatArray:
         """Return the filtered error of the runs, measured less predicted, (rows,), not weighted."""
-        return self._join([_error(log, run) for log, run in zip(self.logs, runs, strict=True)])
+        return self._rows([_filter_error(log, run) for log, run in zip(self.logs, runs, strict=True)])
 
     def slopes(self, runs: Runs, x: FloatArray) -> FloatArray:
         """Return the derivatives of the runs' filtered torques by what is searched, (rows, free), not weighted."""
@@ -480,11 +478,7 @@ class Simulated:
     @property
     def filtered_torque(self) -> FloatArray:
         """Measured torques, filtered, (rows,)."""
-        return self._join([log.measured for log in self.logs])
-
-    def _join(self, each: Sequence[FloatArray]) -> FloatArray:
-        """Return signals of each log, (samples, n), filtered, (rows,)."""
-        return self._rows([decimate_each(log, list(one.T)) for log, one in zip(self.logs, each, strict=True)])
+        return self._rows([decimate_each(log, list(log.measured.T)) for log in self.logs])
 
     def _rows(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return the rows of each log as those of one."""
@@ -522,7 +516,7 @@ class Simulated:
         numbers, errors, slopes, finished = self.numbers(x), list[FloatArray](), list[FloatArray](), True
         for log in self.logs:
             run: Any = log.run(numbers, room=_ROOM)
-            errors.append(decimate_each(log, list(_error(log, run).T)))
+            errors.append(_filter_error(log, run))
             finished &= run.outcome is Outcome.FINISHED
             slopes += [log.slopes(run, self.keys)] if finished else []
         error = self._rows(errors)
@@ -794,13 +788,13 @@ def pose_robot(
                 "each of several logs begins at rest: cut it by record.start, or identify it alone."
             )
     (first, resting), *_ = found
-    most = delay_of_log(None, first.sample_time).upper
+    most = log_delay(None, first.sample_time).upper
     if delay is not None and not abs(delay) <= most:
         raise MethodError(
             f"log_delay is {delay:g} s; expected at most {most:g} s either way, twenty samples: give it in s, or leave "
             "it out to have it identified."
         )
-    known = delay_of_log(delay, first.sample_time, stated=stated)
+    known = log_delay(delay, first.sample_time, stated=stated)
     return Simulated.of([log for log, _ in found], of_record(parameters, robot, resting, known))
 
 
