@@ -82,7 +82,7 @@ from jointid.uncertainty.position_dependent_error import Cells, cells
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
 _FAILED = 1e3  # times the measured torque: the error of a candidate that cannot be simulated
-EXACT = 1e-7  # of the torques: an error that the simulation itself may have
+_EXACT = 1e-7  # of the torques: an error that the simulation itself may have
 _MOVES = 0.05  # of the samples: a motor that moves less determines nothing
 _STILL = 20  # samples in a row, from the first on: a motor that rests there
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
@@ -497,7 +497,7 @@ class Simulated:
     @property
     def floor(self) -> float:
         """Norm of an error that the simulation itself may have: no joint's is taken for smaller."""
-        return EXACT * float(np.max(self.sizes))
+        return _EXACT * float(np.max(self.sizes))
 
     def weights(self, rows: int) -> FloatArray:
         """Return one over the size of each row's error, (rows,)."""
