@@ -6,8 +6,8 @@ from functools import partial
 from typing import Any, TypeVar
 
 import jointid as ji
+from jointid.diagnostics.afterwards import rebuild_problem
 from jointid.diagnostics.diagnosis import diagnose_joint
-from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.search import MOST
 from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.parameters import robot_parameters
@@ -42,4 +42,4 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
 
 def faults_of(estimate: Estimate, record: Record, most: int = MOST) -> AxisFaults:
     """Return the faults that were tested of a joint's loop, log and mechanics."""
-    return diagnose_joint(estimate, record, rebuild_problem(estimate, record), most).axes[0].faults
+    return diagnose_joint(estimate, record, *rebuild_problem(estimate, record), most).axes[0].faults

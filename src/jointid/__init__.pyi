@@ -5,10 +5,10 @@ from .common.errors import JointFileError, JointidError, MethodError, RecordErro
 from .common.transmission import Transmission
 from .config import load
 from .controller_id.learn import learn_controller
+from .diagnostics.afterwards import intervals
 from .diagnostics.compare import compare
 from .diagnostics.diagnose import diagnose
 from .diagnostics.identify import identify
-from .diagnostics.intervals import intervals
 from .diagnostics.validation import validate
 from .estimation.methods.didim import DIDIM
 from .estimation.methods.drive_side import DriveSideFit

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -47,9 +46,6 @@ JOINT_DIFFERS = "joint_differs"
 """The symptom of a joint whose torque the model does not explain."""
 _VAGUE = (Agreement.DIFFERS, JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
 """Symptoms of unknown cause."""
-
-Solved: TypeAlias = tuple[ClosedLoopProblem, FloatArray]
-"""The closed-loop problem of a joint, and its solution, (free,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,16 +223,18 @@ class Diagnosis(Documented):
         return Table(header, tuple(rows), f"residual of each joint's filtered {self.axes[0].signal}", (0, 2))
 
 
-def diagnose_joint(estimate: Estimate, record: Record, solved: Solved, most: int = MOST) -> Diagnosis:
+def diagnose_joint(
+    estimate: Estimate, record: Record, problem: ClosedLoopProblem, x: FloatArray, most: int = MOST
+) -> Diagnosis:
     """Diagnose the estimate of a joint by DIDIM.
 
     Args:
         estimate: by DIDIM, of this record.
         record: that it was identified from.
-        solved: its problem; the parameters identified beside the joint are not tested.
+        problem: its loop; the parameters identified beside the joint are not tested.
+        x: (free,) its solution.
         most: faults that are named at most.
     """
-    problem, x = solved
     std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     proved = problem.loop if law is not None and law.holds else None

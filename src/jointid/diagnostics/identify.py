@@ -23,7 +23,7 @@ from jointid.common.parallel import in_threads, one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.diagnosis import Diagnosis, Solved, diagnose_joint, diagnose_robot
+from jointid.diagnostics.diagnosis import Diagnosis, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import INTERVAL, score
@@ -32,7 +32,7 @@ from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, 
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.problems.simulated import LoopLog, decimate_each
+from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog, decimate_each
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import (
     SLIGHT,
@@ -182,7 +182,7 @@ def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
         if fit.robot is not None:
             return _check_robot(fit, fit.robot, progress)
         if fit.records and fit.problem is not None and fit.x is not None:
-            return _check_joint(fit, fit.records[0], (fit.problem, fit.x), progress)
+            return _check_joint(fit, fit.problem, fit.x, progress)
     except Exception as error:  # an estimate is worth more than any check of it
         said = f"a check failed, which is a fault of jointid ({type(error).__name__}: {error})"
         return checks_of(Subject.LOOP, None, Message(Reason.CHECK_FAILED, said)), (), None
@@ -193,18 +193,17 @@ def _fail(*said: Message) -> tuple[Check, ...]:
     return checks_of(Subject.LOOP, False, *said)
 
 
-def _check_joint(fit: Estimate, record: Record, solved: Solved, progress: Progress) -> Checked:
+def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progress: Progress) -> Checked:
     """Return the checks of a joint's fit; see `run_checks`."""
-    broken = find_broken_part(record)
-    if broken is not None:
+    record = fit.records[0]
+    if (broken := find_broken_part(record)) is not None:
         return _fail(broken), (), None
-    problem, x = solved
     causes = found = None
     progress("checking loop and log")
     whole = all(p.value is not None for p in fit.rows)
     try:
         if whole:
-            found = diagnose_joint(fit, record, solved)
+            found = diagnose_joint(fit, record, problem, x)
             loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
         else:
             loop = (check_without_joint(record, problem.loop_at(x)),)
@@ -324,7 +323,7 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
         scales = np.where(part.parameters.logarithmic, part.values[: len(part.parameters.places)], 1.0)
     tried = list[Element]()
     for k, (driven, axis) in enumerate(zip(() if run is None else run.experiment.axes, found.axes, strict=False)):
-        known = {*names, *(str(one) for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
+        known = {*names, *(one.name for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
         elements = list_undeclared(driven.controller, fit.data.sample_time, k)
         tried += [one for one in elements if one.fault.name not in known]
     if torques is None or not tried:

@@ -69,7 +69,7 @@ def find_plain_cause(record: Record) -> Message | None:
     """Return a cause visible in the samples of torque and reference; None without one."""
     if record.injected is not None:  # that moves the joint, too
         return None
-    short = _check_length(record, SHORTEST, "to tell what is wrong")
+    short = find_too_short(record, SHORTEST, "to tell what is wrong")
     return short or find_broken_part(record) or find_profiled_steps(record) or find_steps(record)
 
 
@@ -78,22 +78,18 @@ def find_broken_part(record: Record) -> Message | None:
     return find_lost_samples(record) or find_parts_off(record) or find_new_zero(record) or find_standstill(record)
 
 
-def find_too_short(record: Record) -> Message | None:
-    """Return the message of a record that is too short for reliable values; None if it is long enough.
-
-    Without a reversal a constant force replaces the Coulomb friction, and a short motion has few rows for many
-    parameters.
-    """
-    return None if record.injected is not None else _check_length(record, _LEAST, "to rely on")
-
-
 def _found(name: str, value: float | None, clause: str, **more: object) -> Message:
     cause = {"cause": name, "value": value, "error": None}
     return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause], **more}, clause)
 
 
-def _check_length(record: Record, needed: float, what_for: str) -> Message | None:
-    if record.reference is None:
+def find_too_short(record: Record, needed: float = _LEAST, what_for: str = "to rely on") -> Message | None:
+    """Return the message of a record with less motion than is needed, s; None if it is long enough.
+
+    Without a reversal a constant force replaces the Coulomb friction, and a short motion has few rows for many
+    parameters.
+    """
+    if record.injected is not None or record.reference is None:  # such a signal moves the joint, too
         return None
     change = np.diff(record.reference.values)
     (moving,) = np.nonzero(change)

@@ -71,7 +71,7 @@ MOST = 3
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
-_TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
+_TOLERANCE = 1e-6  # of the refinement with a fault corrected, or under another law: far below a deviation
 _FEWEST = 4  # rows to a column, of each fault one
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
@@ -206,7 +206,6 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 
 # Other laws
 
-_SOLVED = 1e-6  # far below a deviation
 _EXCLUDED = 2.0  # deviations: a law so far away is excluded
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
@@ -306,7 +305,7 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...
     """Return the averaged and the delayed reference, of the time by which the reference is late."""
     law: Any = problem.loop.controller
     wider, period = problem.freeing(REFERENCE_DELAY.name), float(problem.axis.law.period)
-    late = wider.values(descend(wider, wider.vector(problem.values(x)), _SOLVED).x)[REFERENCE_DELAY.name]
+    late = wider.values(descend(wider, wider.vector(problem.values(x)), _TOLERANCE).x)[REFERENCE_DELAY.name]
     words = f"the law sees the reference {number(1e3 * late, 3)} ms late"
     delayed = OtherLaw(REFERENCE_DELAY, words, f"reference_delay = {late:.4g}", replace(law, reference_delay=late))
     return average(law, period * max(round(2.0 * (late - law.reference_delay) / period + 1.0), 2)), delayed
@@ -315,7 +314,7 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...
 def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
     """Return the test of another law by the joint that is identified under it; None where it changes nothing."""
     other = found.problem.under(law.controller, record)
-    x = descend(other, start, _SOLVED).x
+    x = descend(other, start, _TOLERANCE).x
     left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)
     return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None

@@ -85,9 +85,6 @@ class Fault:
         """True of a fault of the joint's mechanics or friction, False of one of loop and log."""
         return self.mechanical or bool(self.kin)
 
-    def __str__(self) -> str:
-        return self.name
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultSignature:

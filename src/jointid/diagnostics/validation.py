@@ -390,9 +390,8 @@ def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
 
     def fit_anew() -> FloatArray | None:
         weighted, x, left = free, start, error
-        for _ in range(
-            min(len(records), 2)
-        ):  # each axis weighted by its error: of the estimate, then of a first search
+        # Each axis is weighted by its error: of the estimate, then of a first search.
+        for _ in range(min(len(records), 2)):
             weighted = weighted.reweight(left, 0)
             try:
                 with np.errstate(all="ignore"):  # a loop that runs away

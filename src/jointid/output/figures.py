@@ -20,8 +20,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.transmission import Transmission
+from jointid.diagnostics.afterwards import FrequencyResponse, Profiles, compute_response, estimate_spectra, intervals
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.diagnostics.spectra import estimate_spectra
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Record, instants
@@ -29,9 +29,6 @@ from jointid.records.record import Record, instants
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from jointid.diagnostics.intervals import Profiles
-    from jointid.diagnostics.spectra import FrequencyResponse
 
 FORMATS = (".png", ".svg", ".pdf")
 """The formats of a saved figure."""
@@ -391,8 +388,6 @@ class Plots:
         Raises:
             MethodError: a parameter of the joint is not identifiable.
         """
-        from jointid.diagnostics.spectra import compute_response
-
         return response_figure(self.estimate, compute_response(self.estimate))
 
     def profile(self, record: Record, quantities: Sequence[str]) -> Figure:
@@ -401,8 +396,6 @@ class Plots:
         Raises:
             MethodError: the estimate is not by DIDIM, or a quantity is unknown.
         """
-        from jointid.diagnostics.intervals import intervals
-
         return profiles_figure(self.estimate, intervals(self.estimate, record, quantities))
 
 
