@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
-from jointid.diagnostics.suspects import REFERENCE_DELAY, Fault, OtherLaw, milliseconds, name_number
+from jointid.diagnostics.suspects import REFERENCE_DELAY, Fault, OtherLaw, name_number
 from jointid.models.controllers import PD, FirstOrder, numbers_of, unit_of_number, with_numbers, with_present_sample
 from jointid.models.controllers.servo_base import Interpolation
 from jointid.models.joints import ClosedLoop
@@ -50,6 +50,7 @@ _NEAR = 0.08  # logarithm: a factor is taken for another one that is so near
 _ROUGHLY = 0.3  # logarithm: unmodelled dynamics move a factor by so much; 75 is then 57.3, of an angle in degrees
 _SMALL = math.log(1.5)  # a factor that is nearer to 1 is left to its test, which gives an interval
 _HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
+_NO_TIME = 1e-6  # s: no drive keeps so short a time
 _TIME = "velocity_filter.time_constant"
 _IS_ABOUT = "{name} is about {shown}, not {declared}"
 
@@ -72,9 +73,6 @@ class Cause:
     value: float | None = None
     left: float = 0.0
     joints: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        return self.words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -278,7 +276,8 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
     """
     assert value is not None
     numbers, constant = case.numbers, getattr(case.controller, "gain", 1.0)
-    factor, ratio = value if of_torque else value / numbers["gain"], _gear_ratio(case.loop)
+    factor, gear = value if of_torque else value / numbers["gain"], case.loop.joint.transmission
+    ratio = abs(getattr(case.controller, "ratio", 1.0) if gear is None else gear.motor_per_load)
     if ratio != 1.0 and (_is(factor, ratio) or _is(factor, ratio**2)):
         actual = "load" if (factor > 1) is (ratio > 1) else "motor"
         side = f"torque, reference or law is on the wrong side of the {ratio:g}:1 gear"
@@ -298,12 +297,6 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
             yield from causes
 
 
-def _gear_ratio(loop: ClosedLoop) -> float:
-    """Return the ratio of a loop's gear, motor per load, without its sign; 1 without a gear."""
-    gear = loop.joint.transmission
-    return abs(gear.motor_per_load) if gear is not None else abs(getattr(loop.controller, "ratio", 1.0))
-
-
 def _say_sign(*_: object) -> Iterator[Cause]:
     for name in ("torque", "reference"):
         yield Cause(f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)")
@@ -320,7 +313,7 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iter
 
     def show(value: float) -> str:
         if name.endswith(("delay", "filter")):
-            return f"{milliseconds(value)} ms"
+            return f"{number(1e3 * value, 2) if abs(value) >= _NO_TIME else 0} ms"
         joint = case.loop.joint
         unit = unit_of_number(case.controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
         return f"{number(value, 3) if value else 0} {unit}".rstrip()

@@ -186,8 +186,9 @@ class Diagnosis(Documented):
     @property
     def sentences(self) -> tuple[str, ...]:
         """Faults of all axes, each with its remedy."""
-        cause = f"{self.cause}. Correct this first, and identify again: single joints are judged only then"
-        found = [*([] if self.cause is None else [cause]), *(one.words for one in self._wrong_laws)]
+        then = "Correct this first, and identify again: single joints are judged only then"
+        found = [] if self.cause is None else [f"{self.cause.words}. {then}"]
+        found += [one.words for one in self._wrong_laws]
         said = [(axis.name, one.words) for axis in self.axes for one in axis.reasons]
         return *map(sentence, found), *(f"{words}." if name else sentence(words) for name, words in said)
 

@@ -132,7 +132,7 @@ class Causes:
         values: dict[str, object] = {}
         if self.nearest is not None:
             values = {"nearest": self.nearest.name, "error": self.nearest.left}
-            clause += f": the nearest is that {self.nearest}, which leaves {number(100 * self.nearest.left, 2)} %"
+            clause += f": the nearest is that {self.nearest.words}, which leaves {number(100 * self.nearest.left, 2)} %"
         if self.unexplained > _NO_RESPONSE:
             clause += f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check "
             clause += "which column is the torque, and declare a signal that is injected (channel injected)"

@@ -255,7 +255,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
         found = diagnose_robot(fit, fit.records)
     except _OF_RECORD as error:
         return _left_out(f"not checked: {error}")
-    rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, str(found.cause))]
+    rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, found.cause.words)]
     if bad := [joint.name for joint in found.axes if not joint.explained]:
         said = f"what the model leaves of the torque of {join(bad)} is no noise"
         rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said))

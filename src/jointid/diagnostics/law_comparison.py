@@ -52,8 +52,6 @@ _FEWEST = 8 * PARTS  # rows of a record that can be cut
 _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predict alike: the best of several is lucky
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another law
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
-_SIMPLE: Mapping[str, Spring | Friction] = {"spring": Spring(), "friction": Friction()}
-"""The law that is always identified, and by whose mode the others are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +115,7 @@ class LawComparison(Documented):
     def answer(self) -> Message:
         """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
         found = self.shown
-        left = f"leaves {_format_share(found.kept)} of the torque where it was not fitted"
+        left = f"leaves {number(100 * found.kept, 3)} % of the torque where it was not fitted"
         code, words = "as_declared", f"{found.name} {self.kind}, {found.words}: it {left}"
         if found.name == RIGID:
             code, words = "no_spring", f'no spring: a rigid joint {left}; declare the joint with model = "rigid"'
@@ -137,16 +135,12 @@ class LawComparison(Documented):
         rows = []
         for one in self.laws:
             rating = "shown" if one is self.shown else "as good" if one.predicts_as_well else "worse"
-            errors = _format_share(one.fitted), _format_share(one.kept)
+            errors = (f"{number(100 * share, 3)} %" for share in (one.fitted, one.kept))
             rows.append((one.name, str(one.parameters), *errors, rating, one.words))
         header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
         note = f"kept apart: a third of {PARTS} parts of the record, in turn, by the fit to the others"
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
         return Document(self.sentence, (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
-
-
-def _format_share(share: float) -> str:
-    return f"{number(100 * share, 3)} %"
 
 
 def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
@@ -244,7 +238,8 @@ def compare_laws(
     settings.require_settings_of(joint.model)
     check_record(record)
     adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
-    simple = _SIMPLE[kind]
+    # The law that is always identified, and by whose mode the others are.
+    simple: Spring | Friction = Spring() if kind == "spring" else Friction()
 
     def identify(law: Any, band: Filtering) -> Solved:
         other = replace(joint, **{kind: law})

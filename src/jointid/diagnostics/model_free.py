@@ -40,8 +40,7 @@ from jointid.uncertainty.covariance import Influence
 
 MEMORY = 0.3
 """Seconds that a loop remembers."""
-SHORTEST = 2.0
-"""Seconds of a record: a shorter one, less its borders, has fewer than two samples for each number of the responses."""
+_SHORTEST = 2.0  # s of a record: a shorter one has fewer than two samples for each number of the responses
 
 # The samples
 
@@ -69,7 +68,7 @@ def find_plain_cause(record: Record) -> Message | None:
     """Return a cause visible in the samples of torque and reference; None without one."""
     if record.injected is not None:  # that moves the joint, too
         return None
-    short = find_too_short(record, SHORTEST, "to tell what is wrong")
+    short = find_too_short(record, _SHORTEST, "to tell what is wrong")
     return short or find_broken_part(record) or find_profiled_steps(record) or find_steps(record)
 
 
@@ -99,8 +98,8 @@ def find_too_short(record: Record, needed: float = _LEAST, what_for: str = "to r
     if both_ways and seconds >= needed:
         return None
     lasts = f"it has {number(seconds, 2)} s of motion{'' if both_ways else ', one way only'}"
-    clause = f"the record is too short {what_for}: {lasts}; {SHORTEST:g} s or more, both ways, would do"
-    return Message(Reason.RECORD_TOO_SHORT, clause, {"seconds": seconds, "needed": SHORTEST}, clause)
+    clause = f"the record is too short {what_for}: {lasts}; {_SHORTEST:g} s or more, both ways, would do"
+    return Message(Reason.RECORD_TOO_SHORT, clause, {"seconds": seconds, "needed": _SHORTEST}, clause)
 
 
 def find_steps(record: Record) -> Message | None:

@@ -26,7 +26,6 @@ from jointid.uncertainty.model_tests import fit_whitener
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _LISTED = 3  # parameters in a sentence, at most
-_NO_TIME = 1e-6  # s: no drive keeps so short a time
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
 _SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
@@ -161,11 +160,6 @@ def name_number(name: str) -> str:
     if len(owner) == 2:  # one of several, which are counted
         return f"{last} of {owner[0].removesuffix('s')} {owner[1]}"
     return f"{last} of the {owner[0]}" if owner else last
-
-
-def milliseconds(seconds: float) -> str:
-    """Return a time in ms; one that no drive keeps is 0."""
-    return "0" if abs(seconds) < _NO_TIME else number(1e3 * seconds, 2)
 
 
 @dataclass(frozen=True, slots=True)
