@@ -27,9 +27,7 @@ from jointid.simulation.kernels import (
     FREE,
     INERTIA,
     LANES,
-    MASS,
     OFFSET,
-    SPRING,
     STIFFNESS,
     VISCOUS,
     IntArray,
@@ -53,16 +51,14 @@ WIDE = 4 * LANES  # derivatives of a state
 _S, _T, _Z, _D, _EXPLICIT, SCRATCH = (LANES * row for row in (0, 4, 8, 10, 11, 12))
 
 
-@compile_kernel
-def two_masses(mass: FloatArray, spring: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the numbers of the first two masses and their spring; a rigid joint has a load that nothing pushes."""
-    masses, springs = np.zeros((2, MASS + 1)), np.zeros((1, SPRING))
+@inline_kernel
+def fill_two_masses(mass: FloatArray, spring: FloatArray, masses: FloatArray, springs: FloatArray) -> None:
+    """Fill the numbers of the first two masses and their spring; a rigid joint has a load that nothing pushes."""
     masses[1, INERTIA] = 1.0
     for i in range(min(mass.shape[0], 2)):
         assign(masses[i], mass[i])
     for i in range(min(spring.shape[0], 1)):
         assign(springs[i], spring[i])
-    return masses, springs
 
 
 @inline_kernel

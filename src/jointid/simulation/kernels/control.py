@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-import numpy as np
-
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compile_kernel, inline_kernel
 from jointid.simulation.kernels import IntArray, SampledLoop
@@ -15,23 +13,22 @@ SmallLaw: TypeAlias = tuple[float, float, float, float, float, float, float, flo
 
 NOTHING = 1e-200  # below it is 0: near the smallest numbers there are, many machines are a hundred times slower
 OFTEN = 64  # periods after which that is checked
-_LINE = 8  # numbers of a cache line
 
 
-@compile_kernel
+@inline_kernel
 def small_law(loop: SampledLoop, nz: int) -> SmallLaw:
     """Return a law of one element, one phase and two states at most as numbers, which stay in registers.
 
     In this order: A by rows, what the position adds to the states, C, what the limit adds, D, and the limit. Of less
     than two states it is filled up with zeros.
     """
-    A, b, c, f = np.zeros((2, 2)), np.zeros(2), np.zeros(2), np.zeros(2)
-    for i in range(nz):
-        b[i], c[i], f[i] = loop.Bq[0, 0, i], loop.C[0, 0, 0, i], loop.F[0, 0, i, 0]
-        for j in range(nz):
-            A[i, j] = loop.A[0, 0, i, j]
+    A, b, c, f = loop.A[0, 0], loop.Bq[0, 0], loop.C[0, 0, 0], loop.F[0, 0]
     d, limit = loop.D[0, 0, 0], loop.limits[0, 0]
-    return A[0, 0], A[0, 1], A[1, 0], A[1, 1], b[0], b[1], c[0], c[1], f[0], f[1], d, limit
+    if nz == 0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, d, limit
+    if nz == 1:
+        return A[0, 0], 0.0, 0.0, 0.0, b[0], 0.0, c[0], 0.0, f[0, 0], 0.0, d, limit
+    return A[0, 0], A[0, 1], A[1, 0], A[1, 1], b[0], b[1], c[0], c[1], f[0, 0], f[1, 0], d, limit
 
 
 @inline_kernel
@@ -114,11 +111,3 @@ def control_slopes(
     for s in range(states):
         for c in range(count):
             dz[s, c] = fresh[s, c]
-
-
-@compile_kernel
-def aligned_zeros(size: int) -> FloatArray:
-    """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
-    room = np.zeros(size + _LINE)
-    first = (-(room.ctypes.data // 8)) % _LINE
-    return room[first : first + size]

@@ -373,7 +373,9 @@ def run(
     events, steps, rows, status, k, fastest = 0, 0, 1, FINISHED, 0, rate
     # The maps of straight lines, and a law of one element, one phase and two states at most, which glides by them.
     straight, states, kept_modes, rates = path
-    (lines, tie), maps, part = affine.two_masses(mass, spring), affine.MODES if straight else 0, 0
+    lines, tie = np.zeros((2, kernels.MASS + 1)), np.zeros((1, kernels.SPRING))
+    affine.fill_two_masses(mass, spring, lines, tie)
+    maps, part = affine.MODES if straight else 0, 0
     filled = np.zeros(maps, dtype=np.bool_)
     moves, bends = np.zeros((parts * maps, affine.INPUTS, 4)), np.zeros((parts * maps, 3))
     small = straight and parts == 1 and z.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0

@@ -30,7 +30,7 @@ from jointid.models.robots.equations import ROOM, linearised_equations, of_joint
 from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
-from jointid.simulation.kernels.control import NOTHING, OFTEN, aligned_zeros, control_slopes, small_law
+from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes, small_law
 from jointid.simulation.kernels.engine import invert
 
 # A block of derivatives: positions of the masses, or a derivative of these by time, then the forces given on masses and
@@ -328,10 +328,11 @@ def follow(
         assign(dq[i], first_q[i])
         assign(dv[i], first_v[i])
     straight, kept, modes, rates = path
-    (lines, _), maps, inputs = affine.two_masses(mass, spring), parts * affine.MODES if straight else 0, affine.INPUTS
+    lines, maps, inputs = np.zeros((2, kernels.MASS + 1)), parts * affine.MODES if straight else 0, affine.INPUTS
+    affine.fill_two_masses(mass, spring, lines, np.zeros((1, kernels.SPRING)))
     filled, moves = np.zeros(affine.MODES, dtype=np.bool_), np.zeros((maps, inputs, 4))
-    pushes = aligned_zeros(maps * inputs * affine.WIDE).reshape((maps, inputs * affine.WIDE))
-    in_lanes, shifted = aligned_zeros(affine.SCRATCH), np.zeros((2, inputs), dtype=np.complex128)
+    pushes = np.zeros((maps, inputs * affine.WIDE))
+    in_lanes, shifted = np.zeros(affine.SCRATCH), np.zeros((2, inputs), dtype=np.complex128)
     by = np.zeros((2, inputs))
     dmass, dspring = np.zeros((kernels.LANES, 2, kernels.MASS)), np.zeros((kernels.LANES, 1, kernels.SPRING))
     small = straight and dz.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
