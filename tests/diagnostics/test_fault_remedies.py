@@ -25,7 +25,7 @@ def told(fault: Fault) -> str:
 
 
 @pytest.mark.parametrize(
-    "fault", [*FAULTS.values(), PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, AVERAGED, *INTERPOLATIONS.values()], ids=str
+    "fault", [*FAULTS.values(), PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, AVERAGED, *INTERPOLATIONS.values()]
 )
 def test_commands_and_laws_of_a_remedy_are_those_of_the_program(fault: Fault) -> None:
     said = told(fault)
