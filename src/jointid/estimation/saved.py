@@ -72,7 +72,7 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
     found = Estimate(
         tuple(rows.values()),
         _correlation(answer, sum(row.free for row in rows.values()), robot is not None),
-        read(Fit, fit, measured=empty, predicted=empty, conditioning=None, **shares, **of_axes),
+        read(Fit, fit, measured=empty, predicted=empty, **shares, **of_axes),
         read(Data, answer["data"], resampled=None, windows=None),
         read(Settings, settings, system=robot or system, loop=law, controller=str(answer["controller_sha256"])),
         read(tuple[Check, ...], answer["checks"]), robot=part, **said,
