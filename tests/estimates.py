@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import jointid as ji
-from jointid.diagnostics.afterwards import rebuild_problem
+from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.diagnosis import diagnose_joint
 from jointid.diagnostics.search import MOST
 from jointid.diagnostics.suspects import AxisFaults

@@ -5,7 +5,7 @@ from .common.errors import JointFileError, JointidError, MethodError, RecordErro
 from .common.transmission import Transmission
 from .config import load
 from .controller_id.learn import learn_controller
-from .diagnostics.afterwards import intervals
+from .diagnostics.analysis import intervals
 from .diagnostics.compare import compare
 from .diagnostics.diagnose import diagnose
 from .diagnostics.identify import identify

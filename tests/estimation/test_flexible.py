@@ -7,7 +7,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
-from jointid.diagnostics.afterwards import intervals
+from jointid.diagnostics.analysis import intervals
 from jointid.estimation.descent import History
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM

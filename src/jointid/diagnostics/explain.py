@@ -274,18 +274,18 @@ def find_causes(
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
     memory = MEMORY if case.free else MEMORY * max(case.factor or 1.0, 1.0)
     responses = 0.0 if problem is None else find_unexplained_share(problem, case.reference.values, memory)
-    told = [
+    candidates = [
         replace(cause, left=fit.error)
         for fit in fits
         if fit.case.change is not None
         for cause in fit.case.change.say(fit.number, declared)
     ]
     if isinstance(loop.joint, RigidJoint):
-        told += _judge_motion(declared, loop.joint)
-        least = min((one.left for one in told), default=math.inf)
+        candidates += _judge_motion(declared, loop.joint)
+        least = min((one.left for one in candidates), default=math.inf)
         if least > _TWICE * responses and time.process_time() < until:
-            told += (one for one in _judge_mode(declared, loop.joint) if one.left * _TWICE <= least)
-    explaining = _explaining(sorted(told, key=lambda one: one.left), left, declared)
+            candidates += (one for one in _judge_mode(declared, loop.joint) if one.left * _TWICE <= least)
+    explaining = _explaining(sorted(candidates, key=lambda one: one.left), left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
@@ -318,18 +318,18 @@ def _is_excluded(corrected: Case, record: Record, loop: ClosedLoop) -> bool:
     return law is not None and not law.holds
 
 
-def _explaining(told: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:
+def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:
     """Return the causes with the smallest residuals; none if they explain too little.
 
     Small changes of a number are attributed to an unmodelled friction or to noise.
     """
-    if not told or is_small(best := told[0], declared):
+    if not candidates or is_small(best := candidates[0], declared):
         return ()
     most = (_LEAVES_BY_TIME if best.name == "sample_time" else _LEAVES) * left
     if best.left > min(most, max(_FITS, _CLEARLY * min(left, 1.0))):
         return ()
     found: dict[str, Cause] = {}
-    for one in told:
+    for one in candidates:
         if one.left <= _AS_GOOD * best.left and not is_small(one, declared):
             found.setdefault(one.name, one)
     return tuple(found.values())[:_NAMED]
@@ -453,9 +453,9 @@ def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
 def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
     """Yield a start with its residual share of the torque, at some delays where one is free and none declared."""
     undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
-    begun = {p.name: p.start or 0.0 for p in problem.parameters if p.name == case.free}
+    started = {p.name: p.start or 0.0 for p in problem.parameters if p.name == case.free}
     for late in ({DELAY: late} for late in DELAYS) if undeclared else ({},):
-        x, left = problem.vector({**values, **late, **begun}), math.inf
+        x, left = problem.vector({**values, **late, **started}), math.inf
         if problem.size > 0.0:  # else a torque that the filter removes
             with np.errstate(all="ignore"):  # a loop that runs away
                 left = float(np.linalg.norm(problem.residual(x))) / problem.size

@@ -87,19 +87,19 @@ _MOST_OF_IT = 0.5  # of the blocks of a part
 # Of a joint
 
 
-def search_faults(begun: SolvedLoop, most: int = MOST) -> AxisFaults:
+def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
     """Return the faults of a joint, its loop and its log.
 
     Args:
-        begun: its solved problem; the identified parameters are free, and are not tested.
+        initial: its solved problem; the identified parameters are free, and are not tested.
         most: faults named at most, one after another.
     """
-    problem = begun.problem
+    problem = initial.problem
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
     # A rigid joint's DIDIM ends near the least squares, not on them.
-    if np.linalg.norm(problem.residual(begun.x)) > exact:
-        begun = replace(begun, x=descend(problem, begun.x, _TOLERANCE).x)
-    found = begun
+    if np.linalg.norm(problem.residual(initial.x)) > exact:
+        initial = replace(initial, x=descend(problem, initial.x, _TOLERANCE).x)
+    found = initial
     findings, suspected = list[Finding](), list[Finding]()
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
         laws = test_laws(found)
@@ -120,13 +120,13 @@ def search_faults(begun: SolvedLoop, most: int = MOST) -> AxisFaults:
             break
     part = find_part_of_loop(found.problem, found.x)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
-        findings, suspected, found = [], [], begun
+        findings, suspected, found = [], [], initial
     joint, explained = problem.loop.joint, None
     if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
-        before, after = begun.residual, found.problem.residual(found.x)
+        before, after = initial.residual, found.problem.residual(found.x)
         explained = 1.0 - float(after @ after) / float(before @ before)
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
-    return AxisFaults(tuple(findings), begun.tests, units, tuple(suspected), part, explained)
+    return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)
 
 
 def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:

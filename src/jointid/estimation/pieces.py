@@ -310,9 +310,9 @@ def identify_records(
     for k, (record, loop) in enumerate(zip(records, layout.loops, strict=True)):
         progress(f"record {k + 1}, {record.name}, by itself")
         fits.append(fit(record, loop, parameters=layout.changes(known, k)))
-    problems, gain = [_solved(one)[0] for one in fits], 1.0
-    told = [{row.name: row.value for row in one.rows if row.value is not None} for one in fits]
-    starts = fill_starts(told, [p.name for p in problems[0].parameters])
+    problems, gain = [_require_solution(one)[0] for one in fits], 1.0
+    identified = [{row.name: row.value for row in one.rows if row.value is not None} for one in fits]
+    starts = fill_starts(identified, [p.name for p in problems[0].parameters])
     together = share_parameters(problems, layout, known)
     if layout.scales and any(layout.added):  # the slope of what is added over the inertias that were found
         change = np.array([start[_inertia(problems[0].joint).name] for start in starts])
@@ -346,7 +346,7 @@ def _search(together: Records, x: FloatArray) -> tuple[Solution, Records, int]:
     return solution, together, made * len(together.problems)
 
 
-def _solved(fit: Estimate) -> tuple[ClosedLoopProblem, FloatArray]:
+def _require_solution(fit: Estimate) -> tuple[ClosedLoopProblem, FloatArray]:
     assert fit.problem is not None and fit.x is not None
     return fit.problem, fit.x
 
@@ -382,10 +382,10 @@ def _judge(
     shown = [(run.motor_position[p.kept], run.motor_velocity[p.kept]) for p, run in zip(problems, runs, strict=True)]
     influence = Influence(solution.jacobian, solution.residual, series=count)
     found = uncertainty(influence, cells(*map(np.concatenate, zip(*shown, strict=True))))
-    found = found.widened_by(_moved(together, influence, fits, gain))
+    found = found.widened_by(_compute_shift(together, influence, fits, gain))
     left = [p.filtered_error(error) for p, (error, _) in zip(problems, together.rows(x), strict=True)]
     alone = [
-        replace(_describe_alone(fit, together, k, gain), name=records[k].name, filtered_error=left[k])
+        replace(_describe_record(fit, together, k, gain), name=records[k].name, filtered_error=left[k])
         for k, fit in enumerate(fits)
     ]
     acting = replace(joint, torque_unit=None) if layout.scales else joint
@@ -422,21 +422,21 @@ def _judge(
     return replace(made_of, data=replace(made_of.data, torque_unit=acting.force_unit))
 
 
-def _moved(together: Records, influence: Influence, fits: Sequence[Estimate], gain: float) -> FloatArray:
+def _compute_shift(together: Records, influence: Influence, fits: Sequence[Estimate], gain: float) -> FloatArray:
     """Return by how much the common solution moves, (free,), where what is no noise moves those of the records."""
     moved, first = np.zeros(len(together.free)), 0
     for problem, among, fit in zip(together.problems, together.maps, fits, strict=True):
         rows = slice(first, first := first + problem.kept.size)
         answer = influence.matrix[:, rows] @ influence.J[rows] @ among.T * _scale(problem, gain)
-        each = [dict(zip((p.name for p in _solved(fit)[0].free), shift, strict=True)) for shift in fit.shifts]
+        each = [dict(zip((p.name for p in _require_solution(fit)[0].free), shift, strict=True)) for shift in fit.shifts]
         squares = [(answer @ [by.get(p.name, 0.0) for p in problem.free]) ** 2 for by in each]
         moved += np.sqrt(np.sum(squares, axis=0))  # records may err alike
     return moved
 
 
-def _describe_alone(fit: Estimate, together: Records, number: int, gain: float) -> Alone:
+def _describe_record(fit: Estimate, together: Records, number: int, gain: float) -> Alone:
     """Return the fit of one record, numbered from 0, in terms of the acting torque."""
-    (problem, x), known = _solved(fit), fit.parameters
+    (problem, x), known = _require_solution(fit), fit.parameters
     separable = dict(zip(fit.free, find_separable(problem.linearise(x)[1]), strict=True))
     names, values, std = list[str](), dict[str, float](), list[float]()
     shared = zip(together.problems[number].free, together.labels[number], together.known[number], strict=True)
@@ -687,9 +687,9 @@ def identify_windows(
 
     first = (samples(window, period), 2 * samples(window / 20, period))
     began = _start(log, first, model, known, fit, progress)
-    (record,), (begun, x) = began.records, _solved(began)
-    like = begin_window(begun, record)
-    x = like.vector(begun.values(x))
+    (record,), (of_window, x) = began.records, _require_solution(began)
+    like = begin_window(of_window, record)
+    x = like.vector(of_window.values(x))
     keep, needed = like.filtering.decimation or 1, settling(like, record, x)
     length, needed = samples(window, math.lcm(keep, period)), keep * -(-needed // keep)
     settled = min(needed, length // (2 * keep) * keep)

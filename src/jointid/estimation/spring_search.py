@@ -1,6 +1,6 @@
-"""Where the search of springs begins, of a joint and of a robot, and the whole search of a flexible joint.
+"""Search of springs: its starts for a joint and for a robot, and all steps for a flexible joint.
 
-Of a joint it is tried, in order:
+For a joint these are tried, in order:
 
 1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
 2. A grid of flexible joints, a simulation each, on a band as wide as the log. What a drive is known by before anything

@@ -20,7 +20,7 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.afterwards import FrequencyResponse, Profiles, compute_response, estimate_spectra, intervals
+from jointid.diagnostics.analysis import FrequencyResponse, Profiles, compute_response, estimate_spectra, intervals
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.diagnostics.afterwards import rebuild_problem, weights_of
+from jointid.diagnostics.analysis import rebuild_problem, weights_of
 from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Record

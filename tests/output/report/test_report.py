@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 import jointid as ji
 from jointid.common.charts import mark, panels, styled, svg
-from jointid.diagnostics.afterwards import compute_response, estimate_spectra
+from jointid.diagnostics.analysis import compute_response, estimate_spectra
 from jointid.estimation.parameters import INITIAL
 from jointid.output.axis_drawing import axis_figure
 from jointid.output.figures import response_figure

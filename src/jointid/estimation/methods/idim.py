@@ -250,7 +250,7 @@ def torques_along(
 def simulate_columns(
     inverse: Inverse, loop: ClosedLoop | RobotLoop, logs: Sequence[Sequence[Record]], motions: Sequence[MeasuredMotion]
 ) -> Instruments:
-    """Return what makes instruments: the columns along the motions that a loop makes with the values of a candidate.
+    """Return a function that computes instruments: the columns along the simulated motion of a candidate.
 
     Parameters outside of their bounds are simulated at the bound. Rows at which a measured mass rests or turns round
     are left out, as of the measured ones; the motor of a joint begins as it did.

@@ -144,7 +144,7 @@ class LoopLog:
         return replace(self, stride=COARSE)
 
     def under(self, numbers: Numbers) -> LoopInput:
-        """Return what drives a candidate: of a joint with the numbers of the controller that it has."""
+        """Return the input of a candidate; for a joint, with the controller numbers of the candidate."""
         if self.tree is not None:
             return self.experiment
         own, law = names_of(numbers.joints[0]), self.experiment.axis.controller

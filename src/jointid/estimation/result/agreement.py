@@ -219,20 +219,20 @@ def drift(
     scatter, stated = np.zeros((x.size, x.size)), np.zeros(x.size)
     for part in parts:
         sums = total([w.sums for w in part])
-        back, told = _invert_root(sums.A)
+        back, determined = _invert_root(sums.A)
         step = -back @ (back.T @ sums.b)
-        fits.append((x + step, back, told))
+        fits.append((x + step, back, determined))
         # A window takes part in what it is compared with, one that tells much more than one that tells little.
         apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in part]
         own = [back.T @ w.sums.shift(step).b for w in part]
-        scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)]) * told
+        scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)]) * determined
         scatter += (len(part) - 1) * scores.T @ scores
-        stated += len(part) * told  # a parameter that is not told does not scatter
+        stated += len(part) * determined  # a parameter that is not determined does not scatter
     # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
     degrees, root = len(windows) - count, np.sqrt(np.maximum(stated, 1.0))
     scatter *= degrees / (degrees - x.size - 1) / np.outer(root, root)
-    for part, (values, back, told) in zip(parts, fits, strict=True):
-        at = np.flatnonzero(told)
+    for part, (values, back, determined) in zip(parts, fits, strict=True):
+        at = np.flatnonzero(determined)
         covariance = covariance_of((back @ scatter @ back.T)[np.ix_(at, at)])
         when = f"{part[0].begin / 3600:.2f} to {part[-1].end / 3600:.2f} h"
         error = total([w.sums for w in part]).relative_error

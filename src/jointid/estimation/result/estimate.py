@@ -576,14 +576,14 @@ def build_estimate(
     errors, names = np.atleast_1d(error), () if robot is None else robot.model.names
     logs = [read[at : at + errors.size] for at in range(0, len(read), errors.size)]
     by_axis = dict(zip(names, map(float, errors), strict=False))
-    told = () if robot is None or nominal is None or not robot.model.has_masses else map(float, nominal)
+    nominals = () if robot is None or nominal is None or not robot.model.has_masses else map(float, nominal)
     if settings.loop is not None:
         injected = ["injected" for record in records if record.injected is not None]
         channels = (*(channels or settings.loop.channels), *injected)
     fit = Fit(
         measured, predicted, relative_error(measured, predicted, borders),
         float(np.sqrt(np.mean(errors**2))) if by_axis else float(errors[0]), fitted, simulations, *end,
-        axis_errors=by_axis, nominal_errors=dict(zip(names, told, strict=False)),
+        axis_errors=by_axis, nominal_errors=dict(zip(names, nominals, strict=False)),
     )  # fmt: skip
     if robot is not None:
         warnings = (*robot.model.remarks, *warnings)

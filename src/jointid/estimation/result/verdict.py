@@ -1,4 +1,4 @@
-"""What an estimate is judged by: checks, each a question with its answer; and whether to rely on the asked value.
+"""Checks of an estimate, each a question with its answer, and the rule for relying on the asked value.
 
 What was asked for is the stiffness of a flexible joint, the inertia of a rigid one, and all parameters of a robot. One
 rule says whether to rely on it: nothing that was checked moves it out of its interval. A residual that is coloured or
@@ -421,7 +421,7 @@ def _name_unchecked(estimate: Estimate) -> str:
 
 
 def _speak_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield what speaks against a value, its own wide interval, too; what is wrong at all where none is asked for.
+    """Yield the reasons against a value, or against the whole estimate where no value is asked for.
 
     Where a parameter is held at a bound, or the torque is not explained, others make up for what is wrong with loop and
     log: how far it moves a value alone says little then.

@@ -13,7 +13,7 @@ from jointid.common.document import Document
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_whole
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.afterwards import FrequencyResponse, Profiles, compute_response, intervals
+from jointid.diagnostics.analysis import FrequencyResponse, Profiles, compute_response, intervals
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import IN_WINDOWS, Estimate

@@ -1,4 +1,4 @@
-"""What an estimate is asked afterwards: its spectra, its frequency response, and intervals by profiles.
+"""Spectra, frequency response and profile intervals of an estimate.
 
 Spectra are those of the measured and the predicted torque, and of their difference. The response is that from the
 motor's torque to the velocities of the joint's two sides, of the linear part (`models.linear`), moving forwards.
