@@ -200,10 +200,7 @@ def _pose(task: Task) -> ClosedLoopProblem:
     Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
     """
     assert task.loop is not None
-    problem, (position, velocity) = (
-        torque_problem(task.record, task.loop, task.filtering, task.parameters),
-        INITIAL_STATE,
-    )
+    problem = torque_problem(task.record, task.loop, task.filtering, task.parameters)
     if task.joint.model == "rigid":
         return problem
     home = float(problem.axis.inputs[0, REFERENCE]) if task.joint.gravity is None else beginning_position(problem)

@@ -387,10 +387,8 @@ class _Search:
         robot, sigma, history = self.setup.robot, linear.problem.sigma, self.history
         given = dict(self.known)
         self.known |= {p.name: p for p in linear.parameters.parameters}  # springs have bounds that a search gave them
-        numbers, values = (
-            linear.problem.numbers(linear.x),
-            dict(zip(linear.parameters.names, linear.values, strict=True)),
-        )
+        numbers = linear.problem.numbers(linear.x)
+        values = dict(zip(linear.parameters.names, linear.values, strict=True))
         changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
         for i in (*([-1] if late else []), *changed):
             joints = (*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :]))

@@ -257,12 +257,8 @@ def _follow_chords(
     f0, f1, f2, f3 = m[mode, 4, 0], m[mode, 4, 1], m[mode, 4, 2], m[mode, 4, 3]
     chord1, chord2 = bends[mode, 0], bends[mode, 1]
     bound = bound if bends[mode, 2] == 1.0 else np.inf  # what grows is bounded over one period alone
-    resting, keep, stiffness, damping = (
-        m1 == 0 or m2 == 0,
-        states.shape[0] > 0,
-        spring[0, STIFFNESS],
-        spring[0, DAMPING],
-    )
+    resting, keep = m1 == 0 or m2 == 0, states.shape[0] > 0
+    stiffness, damping = spring[0, STIFFNESS], spring[0, DAMPING]
     # Velocities in the direction of their mode are positive while nothing happens.
     d1, d2 = -1.0 if m1 < 0 else 1.0, -1.0 if m2 < 0 else 1.0
     x1, p00, p20, p11, p31, g1, f1 = d1 * x1, d1 * p00, d1 * p20, d1 * p11, d2 * p31, d1 * g1, d1 * f1
