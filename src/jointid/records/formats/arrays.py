@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import re
 import warnings
 import zipfile
@@ -140,14 +141,14 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
     h5py = extra("h5py", "logs", f"Reading {path.name}")
     table, seen, bearable = Table(source=path.name), 0, _ANY_FILE + _PACKED_MOST * path.stat().st_size
 
-    def visit(name: str, member: Any) -> None:
+    def visit(name: str | bytes, member: Any) -> None:
         nonlocal seen
-        seen += 1
-        if seen > _MEMBERS:
+        if (seen := seen + 1) > _MEMBERS:
             raise RecordError(f"{path.name} has more than {_MEMBERS} datasets and groups; log fewer.")
-        if not isinstance(member, h5py.Dataset) or (matlab and name.startswith("#")):
+        called = os.fsencode(name).decode("utf-8", "replace")  # a damaged name comes as bytes
+        if not isinstance(member, h5py.Dataset) or (matlab and called.startswith("#")):
             return
-        called = name.replace("/", ".") if matlab else name
+        called = called.replace("/", ".") if matlab else called
         if why := _refuse(h5py, member):
             table.passed[called] = why
             return
@@ -183,9 +184,8 @@ def _refuse(h5py: Any, dataset: Any) -> str:
 
 def _text_of(member: Any, key: str) -> str:
     """Return a text that an attribute holds; none of other kinds, which may be of any size."""
-    if key not in member.attrs or math.prod(member.attrs.get_id(key).shape or ()) != 1:
-        return ""
-    if member.attrs.get_id(key).dtype.kind not in "OS":
+    held = member.attrs.get_id(key) if key in member.attrs else None
+    if held is None or math.prod(held.shape or ()) != 1 or held.dtype.kind not in "OS":
         return ""
     text = np.asarray(member.attrs[key]).ravel()[0]
     return (text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)).strip()
