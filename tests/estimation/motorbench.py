@@ -14,7 +14,7 @@ from jointid.estimation.problems.inverse_model import inverse_of_joint, motion_a
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.regression import least_squares
+from jointid.solvers.solve import least_squares
 
 PERIOD = 4e-4
 JOINT = FlexibleJoint("revolute", torque_unit="A")

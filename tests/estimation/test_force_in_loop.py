@@ -8,18 +8,18 @@ import pytest
 import jointid as ji
 from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History
-from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
-from jointid.estimation.parameters import INITIAL
+from jointid.estimation.methods.force_in_loop import find_force, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
 from jointid.models.controllers import Cascade
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
+from jointid.simulation.start import INITIAL
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import LevenbergMarquardt, Solution, solve
-from jointid.uncertainty.covariance import Influence
-from jointid.uncertainty.position_dependent_error import uncertainty
+from jointid.uncertainty.covariance import Covariance, Influence
+from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, uncertainty
 from tests.servos import Servo, servo
 
 SUMS = ("inertia", "viscous", "coulomb")
@@ -47,9 +47,8 @@ def test_a_force_is_found_and_intervals_hold_what_it_moves(seed: int) -> None:
     at, truth = [p.name for p in problem.free].index("coulomb"), axis.truth["coulomb"]
     before = end.x[at] - truth
     assert before < -0.1 * truth  # too little friction, without the force
-    found = allow_for_force(problem, end.x, -end.jacobian, np.zeros(end.x.size), History(ignore_progress))
-    assert found is not None
-    there, force = found
+    exact = Uncertainty(Covariance(np.zeros(end.x.size), np.eye(end.x.size)), Repeatable(0.0, 0.0, None))
+    _, (there, force) = widen_for_force(exact, problem, end.x, -end.jacobian, History(ignore_progress))
     assert abs(there[at] - truth) < 0.25 * abs(before)
     assert force.rms == pytest.approx(axis.force, rel=0.3)
 
@@ -73,8 +72,8 @@ def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
     problem = problem.keeping({"initial_velocity": 0.0})
     x = problem.vector({**axis.truth, "initial_position": 0.0})
     error, slopes = problem.linearise(x)
-    std = uncertainty(Influence(slopes, error), problem.cells(problem.simulate(x)))
-    assert allow_for_force(problem, x, -slopes, std.covariance.std, History(ignore_progress)) is None
+    known = uncertainty(Influence(slopes, error), problem.cells(problem.simulate(x)))
+    assert widen_for_force(known, problem, x, -slopes, History(ignore_progress)) == (known, None)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Bounds
 from jointid.estimation.pieces import places_of
 from jointid.solvers.solve import damped_step
-from jointid.uncertainty.resampling import Sums, left_out, rows_of, total
+from jointid.uncertainty.covariance import Sums, left_out, rows_of, total
 
 ANYWHERE = Bounds(np.full(3, -np.inf), np.full(3, np.inf))
 

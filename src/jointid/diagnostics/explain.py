@@ -44,7 +44,7 @@ from jointid.diagnostics.suspects import FaultTest, Finding
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.parameters import DELAYS, INITIAL, OF_LOG
+from jointid.estimation.parameters import DELAYS, OF_LOG
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Reason
@@ -56,6 +56,7 @@ from jointid.records.checks import still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import DELAY
+from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
 _SECONDS = 20.0  # of the processor, for the search

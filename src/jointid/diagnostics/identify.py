@@ -26,11 +26,12 @@ from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
-from jointid.diagnostics.score import INTERVAL, score
+from jointid.diagnostics.score import score
 from jointid.diagnostics.search import find_part_of_loop
 from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, AxisFaults, Fault, FaultSignature
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
+from jointid.estimation.methods.force_in_loop import MATTERS, TOLD
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog, decimate_each
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
@@ -55,7 +56,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.derivatives import respond_to_laws
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.simulate import Run
-from jointid.uncertainty.covariance import Influence
+from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
 _OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
@@ -278,8 +279,6 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
 # What widens the intervals
 
 _USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller
-_MATTERS = 0.25  # of a deviation: less widens no interval
-_TOLD = 1.0  # deviations: what may be off further is said
 
 
 class Element(NamedTuple):
@@ -335,7 +334,7 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     for element, change, largest in zip(tried, changes, sizes, strict=True):
         by = 0.5 * np.abs(scales * (solve @ torques.stack(change))) * largest / element.half
         moved = {name: float(one) for name, one in zip(names, by, strict=True) if name in rows}
-        if any(one > _MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
+        if any(one > MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
             what = f"an undeclared {element.fault.title} of up to {number(1e3 * largest, 2)} ms"
             yield _widening(what, moved, rows, '. Declare it, or set undeclared = "none" in [controller]')
 
@@ -360,7 +359,7 @@ def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) ->
         torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
         cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
     )  # fmt: skip
-    return min(max(test.size + 2 * test.std, 0.0), 2.0 * element.half)
+    return min(max(test.size + INTERVAL * test.std, 0.0), 2.0 * element.half)
 
 
 def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
@@ -394,6 +393,6 @@ def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedPa
     off = [
         f"{row.symbol} by {number(2 * by[name], 2)} {row.unit}".rstrip()
         for name, row in rows.items()
-        if by.get(name, 0.0) > _TOLD * (row.stderr or 0.0)
+        if by.get(name, 0.0) > TOLD * (row.stderr or 0.0)
     ]
     return dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else ""

@@ -30,7 +30,7 @@ from jointid.common.transmission import Transmission
 from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.parameters import INITIAL, adjust_parameters
+from jointid.estimation.parameters import adjust_parameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.springs import fit_rigid
 from jointid.models.friction import FRICTIONS, Friction
@@ -39,6 +39,7 @@ from jointid.models.springs import SPRINGS, Spring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 

@@ -57,7 +57,6 @@ LEVEL = 0.02
 RARER = 10
 """Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
-INTERVAL = 2.0  # deviations: half an interval
 _FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
 _LAWS = 7  # other laws of a controller, that are tested beside the faults
 _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one

@@ -46,7 +46,7 @@ from jointid.diagnostics.changes import (
     list_variants,
 )
 from jointid.diagnostics.model_free import excludes
-from jointid.diagnostics.score import INTERVAL, LEVEL, RARER, RIVAL, SolvedLoop, score
+from jointid.diagnostics.score import LEVEL, RARER, RIVAL, SolvedLoop, score
 from jointid.diagnostics.suspects import (
     LIMIT,
     LOG_GAIN,
@@ -64,6 +64,7 @@ from jointid.models.controllers import numbers_of, with_numbers
 from jointid.records.record import Record
 from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
+from jointid.uncertainty.covariance import INTERVAL, ROUNDING
 from jointid.uncertainty.position_dependent_error import cells
 
 MOST = 3
@@ -76,7 +77,6 @@ _FEWEST = 4  # rows to a column, of each fault one
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
-_RANK = 1e-9  # of the largest singular value
 
 _BLOCKS = 40  # of a residual, in time
 _FEWEST_ROWS = 4  # rows of a block
@@ -206,7 +206,6 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 
 # Other laws
 
-_EXCLUDED = 2.0  # deviations: a law so far away is excluded
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
 _SELDOM = (MEASURED_VELOCITY, AVERAGED)  # those that are tried only where they are significant
@@ -232,7 +231,7 @@ class LawTest:
     def possible(self) -> bool:
         """Whether the record does not exclude the other law, or a rate near it."""
         roughly = _BETWEEN_RATES if self.test.fault is PERIOD else 0.0
-        return 1 - self.test.size <= max(_EXCLUDED * self.test.std, roughly)
+        return 1 - self.test.size <= max(INTERVAL * self.test.std, roughly)
 
     @property
     def likelihood(self) -> float:
@@ -360,7 +359,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
     if len(every) > 1:
         shapes += [FaultSignature(LOG_GAIN, torques.place(k, torques.predicted[k]), axis=k) for k in every]
     shapes = [one for one in shapes if np.any(one.column)]
-    where, basis = cells(*torques.places), orthonormal_basis(own, _RANK)
+    where, basis = cells(*torques.places), orthonormal_basis(own, ROUNDING)
     before = rest = residual - basis @ (basis.T @ residual)
     found: list[list[Finding]] = [[] for _ in units]
     first: tuple[FaultTest, ...] = ()
@@ -370,7 +369,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
             return abs(test.size - 1.0) < max(_SURELY * test.std, _NEARLY)
         apart = column - basis @ (basis.T @ column)
         size, left = float(apart @ apart), float(np.sum(rest[rows[test.axis]] ** 2))
-        return size > _RANK * float(column @ column) and float(apart @ rest) ** 2 > _MUCH * left * size
+        return size > ROUNDING * float(column @ column) and float(apart @ rest) ** 2 > _MUCH * left * size
 
     while shapes and np.any(residual):
         if residual.size <= _FEWEST * (own.shape[1] + len({(one.axis, one.fault) for one in shapes})):
@@ -389,7 +388,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
         near = (one for one in likely if one.axis == test.axis and one.strength > _AS_STRONG * test.strength)
         found[test.axis].append(Finding(test, None, tuple(one for one in near if one is not test), {}))
         own = np.column_stack([own, columns[test.axis, test.fault, test.shape]])
-        basis = orthonormal_basis(own, _RANK)
+        basis = orthonormal_basis(own, ROUNDING)
         rest = residual - basis @ (basis.T @ residual)
         kin = {test.name, test.fault.kin} - {""}
         shapes = [one for one in shapes if one.axis != test.axis or not kin & {one.fault.name, one.fault.kin}]

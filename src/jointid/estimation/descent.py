@@ -30,7 +30,7 @@ from jointid.models.springs import Spring
 from jointid.simulation.simulate import Run, motion_at
 from jointid.simulation.start import wound_up
 from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, Tally, solve
-from jointid.uncertainty.covariance import Influence
+from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _WORTH = 1e-2  # of the tolerance: a step of a closed loop that promises less is not made
@@ -44,9 +44,14 @@ def least_squares(tolerance: float, evaluations: int = 200) -> LevenbergMarquard
 ROUGH = least_squares(1e-5, 30)
 """The solver of a rough descent."""
 
-_CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others ...
+NOTHING = 0.5
+"""Of the torque: an end that leaves so much is no answer."""
+
+ROUGHLY = 1e-3
+"""Tolerance of a rigid joint that is a start."""
+
+_CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others
 _FIRST, _OUT = 10, 5.0  # rows; times the median size, which one in a hundred of ten rows of noise exceeds
-_SURELY = 2.0  # ... and robust standard deviations of that velocity
 
 
 class Solved(NamedTuple):
@@ -147,14 +152,13 @@ def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
     history.tally.evaluations += 1
     known = uncertainty(Influence(J, moving.solution.residual), problem.cells(problem.simulate(x)))
     at = names.index("initial_velocity")
-    return bool(abs(x[at]) > _SURELY * known.covariance.std[at])
+    return bool(abs(x[at]) > INTERVAL * known.covariance.std[at])
 
 
 # Of a rigid joint
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
-_EXPLAINS = 0.5  # of the torque: what an end may leave whose start led to no joint
 _ASIDE = 0.25  # of the reference's largest speed: a motor may move while its reference rests
 
 
@@ -180,7 +184,7 @@ def search_rigid_joint(
             failures.append(error)
             continue
         ends += [history.solve(resting, x) for x in started[: 1 if count else None]]
-    if failures and not any(end.norm < _EXPLAINS * problem.size for end in ends):
+    if failures and not any(end.norm < NOTHING * problem.size for end in ends):
         raise failures[0]
     best = ends[0]
     for end in ends[1:]:

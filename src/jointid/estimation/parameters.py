@@ -47,10 +47,11 @@ from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.plant import DELAY, Numbers, Place, law_places
 from jointid.simulation.simulate import MassMotion
+from jointid.simulation.start import INITIAL
 
 INITIAL_STATE = (
-    Parameter("initial_position", "q(0)", Quantity.POSITION),
-    Parameter("initial_velocity", "v(0)", Quantity.VELOCITY),
+    Parameter(INITIAL[0], "q(0)", Quantity.POSITION),
+    Parameter(INITIAL[1], "v(0)", Quantity.VELOCITY),
 )
 """The motor's state at the first sample; an axis may already move when the log begins."""
 
@@ -65,11 +66,8 @@ OF_LOG = {
 }
 """What lies between the torque of a controller and the log's, by name."""
 
-INITIAL_TORQUE = Parameter("initial_torque", "u(0)", Quantity.FORCE)
+INITIAL_TORQUE = Parameter(INITIAL[2], "u(0)", Quantity.FORCE)
 """What a controller with an integral puts out at the first sample: what friction and gravity asked for until then."""
-
-INITIAL = tuple(p.name for p in (*INITIAL_STATE, INITIAL_TORQUE))
-"""Names of what belongs to a record's first sample, and to no other record."""
 
 _MOST_LATE = 20.0  # samples that the log may be late, or early
 _LEFT_OPEN = 2.0  # samples: an averaged torque acts one sooner than a held one

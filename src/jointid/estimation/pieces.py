@@ -24,7 +24,7 @@ time, so that the rows that count follow each other without a gap.
 
 Noise that is averaged over a day leaves next to nothing, and what the model lacks stays. What every visit to a place
 errs alike no longer record averages away: sums are kept of each place, too. The deviations are the larger, in every
-direction, of what leaving out windows says and what leaving out places says (`uncertainty.resampling`).
+direction, of what leaving out windows says and what leaving out places says (`uncertainty.covariance`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Detail, Progress, follow
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import join
-from jointid.estimation.parameters import INITIAL, adjust_parameters, of_law
+from jointid.estimation.parameters import adjust_parameters, of_law
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position
 from jointid.estimation.result.agreement import Alone, Window, compare_records, drift
 from jointid.estimation.result.estimate import (
@@ -64,11 +64,11 @@ from jointid.records.resampling import period_ratio
 from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome
+from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, Solution, Step, damped_step, solve
-from jointid.uncertainty.covariance import Covariance, Influence, larger
+from jointid.uncertainty.covariance import Covariance, Influence, Sums, larger, left_out, rows_of, total
 from jointid.uncertainty.identifiability import find_separable, identifiability
-from jointid.uncertainty.position_dependent_error import cells, uncertainty
-from jointid.uncertainty.resampling import Sums, left_out, rows_of, total
+from jointid.uncertainty.position_dependent_error import RESTING, cells, uncertainty
 
 FitRecord: TypeAlias = Callable[..., Estimate]
 """From a record, its loop and ``parameters``, which are changes to those, to the estimate of the record by itself."""
@@ -458,7 +458,6 @@ _FORGOTTEN = 0.01  # of how far a beginning is off: what is left of it is forgot
 _RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
 _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
 _AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
-_RESTING = 0.02  # of the largest speed: below it a row has no direction
 _STARTS = 5  # windows that are tried to start from
 _TRAVEL = 0.5  # of the most that one of them moves: those with less are tried last
 _PASSES = 12  # at most
@@ -475,7 +474,7 @@ def places_of(position: FloatArray, velocity: FloatArray) -> Places:
     """Return stretches of the travel, by direction and class of speed, of the motion in one window, (samples,) each."""
     speeds = cells(position, velocity).speeds
     origin, width = float(position.min()), (float(np.ptp(position)) or 1.0) / _PLACES
-    resting = _RESTING * float(np.max(np.abs(velocity)))
+    resting = RESTING * float(np.max(np.abs(velocity)))
 
     def label(position: FloatArray, velocity: FloatArray) -> NDArray[np.intp]:
         moving = np.abs(velocity) > resting

@@ -39,9 +39,9 @@ from jointid.common.messages import Detail
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.common.transmission import SIDES
-from jointid.estimation.descent import ROUGH, History, Solved, is_significant, search_rigid_joint
+from jointid.estimation.descent import NOTHING, ROUGH, ROUGHLY, History, Solved, is_significant, search_rigid_joint
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.parameters import INITIAL, INITIAL_STATE, RobotParameters
+from jointid.estimation.parameters import INITIAL_STATE, RobotParameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, outcome_of, torque_problem
 from jointid.estimation.rigid_starts import first_state, reconstructed_position, regular_start, rigid_starts
 from jointid.models.controllers import REFERENCE, SampledLaw
@@ -50,6 +50,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome
+from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
 if TYPE_CHECKING:
@@ -61,10 +62,12 @@ FASTEST = 0.22
 STIFFEST = 0.15
 """Of the sampling frequency: the highest mode of a robot that is searched."""
 
-NOTHING = 0.5
-"""Of the torque: an end that leaves so much is no answer."""
+LITTLE = 0.1
+"""Of the torque: an end that leaves more may be a false minimum."""
 
-_ROUGH = 1e-3  # tolerance of the rough rigid joint: a start needs no more
+DAMPED = 0.03
+"""Of critical: springs that a search begins with."""
+
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
@@ -74,7 +77,6 @@ _LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tr
 _MODES, _WIDE_MODES = (0.5, 12.0, 1.25), (0.2, 4.0, 1.4)
 _SHARES, _WIDE_SHARES = (0.25, 0.5, 0.75), (0.15, 0.5, 0.85)  # of the load in the inertia
 _INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0)  # of the wide grid, times the rigid joint's
-_LITTLE = 0.1  # of the torque: an end that leaves more may be a false minimum
 _UNSTABLE = 10.0  # times the torque: what a loop that is as good as unstable leaves
 
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
@@ -96,7 +98,6 @@ _ROTOR = 0.5  # of the inertia about a joint, at most, that its rotor begins wit
 _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not positive
 _SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far its rotor may be from what is wanted
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
-_DAMPING = 0.03  # of critical, of the springs a search begins with
 _HERTZ = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the grid in which a frequency is searched
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is searched
@@ -145,7 +146,7 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
             continue
         left = history.count_evaluations(found.problem).residual(found.x)
         ends.append((float(np.linalg.norm(left)) / found.problem.size, found))
-        if ends[-1][0] <= _LITTLE:
+        if ends[-1][0] <= LITTLE:
             break
     if not ends:
         raise failures[0]
@@ -174,7 +175,7 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
 
     Its cut-off is 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
-    found, rough, edge = None, replace(history, tolerance=_ROUGH), rigid_cutoff(task.record)
+    found, rough, edge = None, replace(history, tolerance=ROUGHLY), rigid_cutoff(task.record)
 
     def search(edge: float) -> Solved:
         history.progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
@@ -481,7 +482,7 @@ class SplitRobot:
         values, each = self.split.copy(), np.broadcast_to(hertz, self.reduced.shape)
         for c, place in enumerate(self.problem.parameters.places):
             if place.name in ("stiffness", "damping"):
-                values[c] = spring_at(each[place.axis], self.reduced[place.axis], _DAMPING)[place.name]
+                values[c] = spring_at(each[place.axis], self.reduced[place.axis], DAMPED)[place.name]
         return values
 
     def search(self) -> FloatArray:

@@ -10,9 +10,9 @@ import numpy as np
 from jointid.common.charts import panels, styled
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.models.joints import FlexibleJoint
+from jointid.simulation.start import INITIAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

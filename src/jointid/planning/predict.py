@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.diagnostics.analysis import rebuild_problem, weights_of
-from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Record
+from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import Covariance, Influence
 
 _SAME = 1e-13  # of the largest eigenvalue of the information: what is below is rounding

@@ -21,7 +21,7 @@ from jointid.models.robots.robot import Tree
 from jointid.simulation.loop_input import AxisInput, LoopInput
 from jointid.simulation.plant import Numbers, Place
 
-INITIAL = ("initial_position", "initial_velocity", "initial_torque")
+INITIAL = ("initial_position", "initial_velocity", "initial_torque")  # of a record's first sample alone
 
 _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
 _SETTLING = 200  # of the steps that find where the links hang

@@ -1,4 +1,4 @@
-"""The verb `solve`: a problem, its solution, and bounded least squares by Levenberg-Marquardt from several starts.
+"""The verb `solve`: a problem, its solution, and bounded least squares by Levenberg-Marquardt; and linear ones by QR.
 
 Each step of the solver minimises the damped linear problem within the bounds.
 """
@@ -14,6 +14,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter
 
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
@@ -296,3 +297,70 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
         watch: callback for every step.
     """
     return solver.solve(problem, Bounds.of(problem.free).clip(start), watch)
+
+
+# Linear least squares by QR
+
+_RANK = 1e-10  # of the largest: a normalised singular value below this is a parameter nothing excites
+
+
+@dataclass(frozen=True, slots=True)
+class Conditioning:
+    """The condition number of a regressor, by three definitions.
+
+    Attributes:
+        raw: of the columns as they are; depends on the units.
+        normalised: of the columns divided by their norms.
+        scaled: of the columns multiplied by the estimates: what each parameter contributes to the torque.
+    """
+
+    raw: float
+    normalised: float
+    scaled: float
+
+
+def conditioning(W: FloatArray, values: FloatArray) -> Conditioning:
+    """Return the condition numbers of a regressor, (rows, parameters), at estimates, (parameters,)."""
+    norms = np.linalg.norm(W, axis=0)
+    R, scale = np.asarray(np.linalg.qr(W / norms, mode="r")), np.where(values == 0.0, 1.0, np.abs(values))
+    return Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
+
+
+def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Solve ``Y = W x`` by QR with column scaling; return x, (parameters,).
+
+    Args:
+        W: (rows, parameters).
+        Y: (rows,).
+        names: of the parameters, for the error.
+
+    Raises:
+        MethodError: the rows are too few, or do not determine the parameters.
+    """
+    rows, count = W.shape
+    if rows <= count:
+        raise MethodError(
+            f"{rows} filtered samples cannot determine {count} parameters; use a longer record or decimate less."
+        )
+    refuse_idle(W, names)
+    norms = np.linalg.norm(W, axis=0)
+    Q, R = np.linalg.qr(W / norms)
+    _, sizes, directions = np.linalg.svd(R)  # the triangle of columns of norm 1 has their singular values
+    if not sizes[-1] > _RANK * sizes[0]:
+        involved = [name for name, share in zip(names, directions[-1], strict=True) if abs(share) > 1e-3]
+        raise MethodError(
+            f"{', '.join(involved)} cannot be distinguished in this record (their columns are collinear); fix one of "
+            "them."
+        )
+    return np.asarray(np.linalg.solve(R, Q.T @ Y) / norms)
+
+
+def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
+    """Refuse columns (rows, parameters) of zeros; the sentence names the parameters."""
+    norms = np.linalg.norm(columns, axis=0)
+    idle = [name for name, norm in zip(names, norms, strict=True) if not norm > 0]
+    if idle:
+        raise MethodError(
+            f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
+            "motion that moves at several speeds, both ways; if it does, correct units, gains and sides of the loop."
+        )

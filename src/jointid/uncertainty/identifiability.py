@@ -19,10 +19,9 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Parameter, Quantity
 from jointid.common.text import in_words, interval, join, number
-from jointid.uncertainty.covariance import Covariance
+from jointid.uncertainty.covariance import INTERVAL, ROUNDING, Covariance
 
-_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
-_ROUNDING = 1e-9  # of the largest singular value: a combination that the torque does not contain
+INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _PART = 1e-3  # of a combination of unit columns: a smaller term is rounding
 _SURROUNDING = (Quantity.POSITION, Quantity.VELOCITY)  # of the initial state, no part of the answer
 
@@ -135,10 +134,10 @@ def identifiability(
             limitations.append(_describe_unseen(parts, units, assess))
     each = {i: assess(single(parameters[i], units[parameters[i].name])) for i in apart}
     for i, j in combinations(apart, 2):
-        if abs(correlation := float(covariance.correlation[i, j])) > _INSEPARABLE:
+        if abs(correlation := float(covariance.correlation[i, j])) > INSEPARABLE:
             limitations.append(_describe_pair(each[i], each[j], correlation, assess))
     for i, one in each.items():
-        if parameters[i].lower >= 0 and one.value <= 2 * one.std:
+        if parameters[i].lower >= 0 and one.value <= INTERVAL * one.std:
             said = f"{parameters[i].symbol} is not significant: its interval holds 0"
             values = {"parameter": parameters[i].name, "value": one.value, "std": one.std}
             limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
@@ -158,7 +157,7 @@ def find_unseen(J: FloatArray) -> FloatArray:
     from scipy.linalg import qr, solve_triangular
 
     _, sizes, vectors = np.linalg.svd(triangle(J / column_norms(J)))
-    unseen = vectors[np.sum(sizes > _ROUNDING * sizes[0]) :]
+    unseen = vectors[np.sum(sizes > ROUNDING * sizes[0]) :]
     if len(unseen) < 2:
         return unseen
     # Any rotation of them is as good: with pivots, each begins at a column that no other has.
@@ -196,7 +195,7 @@ def _describe_pair(first: Known, second: Known, correlation: float, assess: Call
     said, values = _sum_of(names, weight, units[0], assess)
     clause = f"use {join([in_words(name) for name in names])} only together"
     clause += f": their {said}" if units[0] == units[1] else ": what one gains the other makes up for"
-    widths = " and ".join(f"± {number(2 * one.std, 2)} {one.combination.unit}" for one in (first, second))
+    widths = " and ".join(f"± {number(INTERVAL * one.std, 2)} {one.combination.unit}" for one in (first, second))
     words = f"{clause}; apart they are known to {widths} (correlation {correlation:+.3f})"
     return Message(Limitation.INSEPARABLE, words, values | {"parameters": names, "correlation": correlation}, clause)
 
@@ -208,4 +207,4 @@ def _sum_of(
     kind = "sum" if weight > 0 else "difference"
     known = assess(Combination(kind, "", unit, {names[0]: 1.0, names[1]: weight}))
     values = {"weight": weight, "value": known.value, "std": known.std, "unit": unit}
-    return f"{kind} is {interval(known.value, 2 * known.std)} {unit}", values
+    return f"{kind} is {interval(known.value, INTERVAL * known.std)} {unit}", values

@@ -41,20 +41,26 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
 from jointid.common.text import number
-from jointid.uncertainty.covariance import Covariance, Influence, bandwidth, bartlett_sum, covariance_of, larger
+from jointid.uncertainty.covariance import (
+    INTERVAL,
+    LEVEL,
+    ROUNDING,
+    Covariance,
+    Influence,
+    bandwidth,
+    bartlett_sum,
+    covariance_of,
+    larger,
+)
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty
 
 _PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long
-_SINGULAR = 1e-10  # of its length: what remains of a direction that the rigid parameters make up
 _MATTERS = 0.1  # deviations of least squares: a smaller shift is none
-_SAME = 1e-9  # of a column: what instruments leave of it is then rounding
 _RANK = 1e-3  # of the largest: directions of V that are less are not counted
-_NOISE = 2.0  # deviations: a solution that is further away is so by what the model lacks
 _BELIEVED = 0.01  # a smaller p-value of a rigid joint says that it is flexible
 _INSIDE = 0.95  # of the cut-off: the filter is flat up to there
 _LAGS = 20
 _ROWS_PER_LAG = 4  # at least
-_LEVEL = 0.05
 _ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
@@ -75,7 +81,7 @@ class Whiteness:
     @property
     def white(self) -> bool:
         """True if nothing speaks against white noise, at 5 %."""
-        return self.p_value > _LEVEL
+        return self.p_value > LEVEL
 
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
@@ -183,10 +189,10 @@ def flexible_against_rigid(
         fitted: sum of squares of a flexible fit, in place of the linear one.
         draws: of the signs.
     """
-    Q, E = orthonormal_basis(J, _SINGULAR), np.hstack(extra)
+    Q, E = orthonormal_basis(J, ROUNDING), np.hstack(extra)
     beside = E - Q @ (Q.T @ E)
     sizes = np.linalg.norm(beside, axis=0)
-    beside = np.where(sizes > _SINGULAR * np.linalg.norm(E, axis=0), beside / sizes, 0.0)  # else rounding, or no number
+    beside = np.where(sizes > ROUNDING * np.linalg.norm(E, axis=0), beside / sizes, 0.0)  # else rounding, or no number
     degrees = max(residual.size - J.shape[1] - 1, 1)
     rigid = float(residual @ residual - np.sum((Q.T @ residual) ** 2))
     amounts = np.maximum(-(beside.T @ residual), 0.0)
@@ -234,7 +240,7 @@ def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: in
 
     W, Z = W / column_norms(W), Z / column_norms(Z)
     sizes = np.linalg.svd(W - Z @ np.linalg.lstsq(Z, W, rcond=None)[0], compute_uv=False)
-    degrees = int(np.sum(sizes > max(_RANK * sizes[0], _SAME)))
+    degrees = int(np.sum(sizes > max(_RANK * sizes[0], ROUNDING)))
     if degrees == 0:
         return 1.0
     least = Influence(W, Y - W @ np.linalg.lstsq(W, Y, rcond=None)[0], equations=equations)
@@ -273,5 +279,5 @@ def widened_to_second(
     shift, noise = np.zeros(inside.size), np.zeros(inside.size)
     shift[inside], covariance = second_solution(Z[:, inside], Influence(J[:, inside], error))
     noise[inside] = covariance.std
-    significant = np.abs(shift) > _NOISE * noise
+    significant = np.abs(shift) > INTERVAL * noise
     return known.widened_by(np.where(significant, shift, 0.0)) if np.any(significant) else known

@@ -25,18 +25,18 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
-from jointid.uncertainty.covariance import Covariance, Influence, bandwidth, bartlett_sum, larger
+from jointid.uncertainty.covariance import LEVEL, ROUNDING, Covariance, Influence, bandwidth, bartlett_sum, larger
+
+RESTING = 0.02  # of the largest speed: below it a row has no direction
 
 IntArray = NDArray[np.intp]
 
 _POSITIONS = 24  # cells along the travel
 _LAGS = bandwidth(_POSITIONS)  # cells along the travel, on each side, that err together with one
 _SPEEDS = 3  # classes
-_RESTING = 0.02  # of the largest speed: below it a row has no direction
 _BLOCKS = 40  # of time, at most
 _FEWEST = 6  # of them, to say anything
 _FLIPS = 999
-_LEVEL, _ROUNDING = 0.05, 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +79,7 @@ class Repeatable:
     @property
     def significant(self) -> bool:
         """True if it is more than chance, at 5 %."""
-        return self.p_value is not None and self.p_value <= _LEVEL
+        return self.p_value is not None and self.p_value <= LEVEL
 
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
@@ -122,7 +122,7 @@ def cells(position: FloatArray, velocity: FloatArray) -> Cells:
         velocity: (rows,).
     """
     speed = np.abs(velocity)
-    moving = speed > _RESTING * np.max(speed, initial=0.0)
+    moving = speed > RESTING * np.max(speed, initial=0.0)
     kind, means = _classify_speeds(speed, moving)
     direction = np.where(moving, np.sign(velocity), 0.0).astype(np.intp) + 1
     family = direction * _SPEEDS + np.where(moving, kind, 0)
@@ -177,7 +177,7 @@ def repeatable(error: FloatArray, where: Cells) -> Repeatable:
     if blocks >= _FEWEST and np.any(pairs > 0):
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_FLIPS, blocks))
         others = np.sum((signs @ products) * signs, axis=1)
-        as_large = others >= square - _ROUNDING * np.abs(products).sum()  # signs may leave every product as it is
+        as_large = others >= square - ROUNDING * np.abs(products).sum()  # signs may leave every product as it is
         p_value = float(1 + np.sum(as_large)) / (_FLIPS + 1)
     share = min(max(square, 0.0) / total, 1.0) if total > 0 else 0.0
     return Repeatable(float(np.sqrt(max(square, 0.0))), share, p_value)

@@ -25,16 +25,14 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import number
 from jointid.solvers.solve import Counted, LevenbergMarquardt, Problem, solve
-from jointid.uncertainty.covariance import Covariance, covariance_of
+from jointid.uncertainty.covariance import COVERED, ROUNDING, Covariance, covariance_of
 from jointid.uncertainty.identifiability import Combination
 
-_LEVEL = 0.9545  # of the intervals, that of 2 sigma
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
 _FIRST = 0.5  # of the way to where a linear problem would end
 _BEYOND, _NEARER, _FARTHER = 1.05, 1.5, 3.0  # of the threshold's root, aimed at; and by what the way then grows
 _FAR = 1.5  # times the threshold's root: a point above is too far away to interpolate
 _NARROW = 0.02  # of the way from the estimate to an end: so near the end is known
-_UNSEEN = 1e-9  # of the largest: a normalised singular value whose direction leaves no trace in the residual
 _IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that it was no minimum
 _LEAST = 1e-4  # of the compliance: a smaller one is negligible
 _SOLVER = LevenbergMarquardt(1e-8, 30)  # of a fit with the quantity held
@@ -88,7 +86,7 @@ class ProfileInterval:
         ]
         lower = "; the estimate was not the minimum" if self.improved else ""
         return (
-            f"{self.formula} = {number(self.estimate)} {self.unit}, {100 * _LEVEL:.4g} % profile interval "
+            f"{self.formula} = {number(self.estimate)} {self.unit}, {100 * COVERED:.4g} % profile interval "
             f"{' to '.join(ends)} ({self.evaluations} evaluations{lower})"
         )
 
@@ -186,7 +184,7 @@ def profile(
     counted, weights, bounds = Counted(problem), combination.vector(problem.free), Bounds.of(problem.free)
     residual, J = counted.linearise(x)
     direction, flat = _least_rise(J, weights)
-    half = float(stdtrit(max(residual.size - x.size, 1), 0.5 + 0.5 * _LEVEL)) * covariance.std_of(weights)
+    half = float(stdtrit(max(residual.size - x.size, 1), 0.5 + 0.5 * COVERED)) * covariance.std_of(weights)
     threshold = half**2 / flat if flat else 0.0
 
     def fit(value: float, start: FloatArray) -> _Point:
@@ -215,9 +213,9 @@ def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float]:
     """Change of all parameters per unit of the quantity, and ``w' (J' J)^-1 w``; 0 if it is not visible."""
     norms = column_norms(J)
     _, sizes, directions = np.linalg.svd(J / norms, full_matrices=False)
-    seen = sizes > _UNSEEN * sizes[0]
+    seen = sizes > ROUNDING * sizes[0]
     along = directions @ (weights / norms)
-    if np.linalg.norm(along[~seen]) > _UNSEEN * np.linalg.norm(along):
+    if np.linalg.norm(along[~seen]) > ROUNDING * np.linalg.norm(along):
         return weights, 0.0
     flat = float(np.sum((along[seen] / sizes[seen]) ** 2))
     return np.asarray(directions[seen].T @ (along[seen] / sizes[seen] ** 2) / norms / flat), flat
@@ -279,8 +277,6 @@ def profile_compliance(
     x: FloatArray,
     covariance: Covariance,
     unit: Callable[[Parameter], str],
-    solver: LevenbergMarquardt = _SOLVER,
-    points: int = _POINTS,
 ) -> ProfileInterval:
     """Profile 1/K12, in which a stiff joint is nearly linear; arguments as of `profile`, and a joint's `unit`."""
     at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
@@ -288,4 +284,4 @@ def profile_compliance(
     turn = np.where(np.arange(x.size) == at, -1.0 / x[at] ** 2, 1.0)  # of 1/K by K
     wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
     turned = covariance_of(covariance.matrix * np.outer(turn, turn))
-    return profile(by, by.turn(x), wanted, turned, solver, points)
+    return profile(by, by.turn(x), wanted, turned)

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 import jointid as ji
 from jointid.common.charts import mark, panels, styled, svg
 from jointid.diagnostics.analysis import compute_response, estimate_spectra
-from jointid.estimation.parameters import INITIAL
 from jointid.output.axis_drawing import axis_figure
 from jointid.output.figures import response_figure
 from jointid.output.report import Report, repetition
+from jointid.simulation.start import INITIAL
 from tests.browser import opened
 from tests.estimates import amended
 from tests.estimation.robots.twin import arm, identified, records_of

@@ -28,7 +28,15 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.text import join
-from jointid.estimation.descent import History, Solved, free_more, from_linear_laws, search_rigid_joint
+from jointid.estimation.descent import (
+    NOTHING,
+    ROUGHLY,
+    History,
+    Solved,
+    free_more,
+    from_linear_laws,
+    search_rigid_joint,
+)
 from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error, widen_for_force
 from jointid.estimation.methods.registry import (
     EVALUATIONS,
@@ -46,17 +54,16 @@ from jointid.estimation.result.estimate import Estimate, Settings, build_estimat
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks
 from jointid.estimation.rigid_starts import rigid_starts
-from jointid.estimation.spring_search import NOTHING, rough_rigid_joint, search_flexible_joint
+from jointid.estimation.spring_search import rough_rigid_joint, search_flexible_joint
 from jointid.models.controllers import REFERENCE, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.simulation.plant import DELAY
-from jointid.solvers.regression import refuse_idle
+from jointid.solvers.solve import refuse_idle
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.model_tests import whiteness
 from jointid.uncertainty.position_dependent_error import uncertainty
 
-_ROUGH = 1e-3  # tolerance of a rigid joint that only finds a delay
 _FLEXIBLE = ("flexible",)
 _OUTPUTS = ("torque", "motor_position")
 
@@ -188,7 +195,7 @@ class DIDIM(Method):
             law = with_numbers(loop.controller, {DELAY: late})
             with contextlib.suppress(MethodError):  # no joint is stable with it
                 rough = rough_rigid_joint(replace(task, loop=replace(loop, controller=law)), history)
-                end = free_more(rough, (DELAY,), replace(history, tolerance=_ROUGH))
+                end = free_more(rough, (DELAY,), replace(history, tolerance=ROUGHLY))
                 ends[end.values[DELAY]] = end.norm / end.problem.size
         law = with_numbers(loop.controller, {DELAY: min(ends, key=lambda late: ends[late], default=0.0)})
         return replace(task, loop=replace(loop, controller=law))

@@ -24,7 +24,7 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
-from jointid.estimation.descent import History, Solved
+from jointid.estimation.descent import ROUGHLY, History, Solved
 from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.parameters import LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import (
@@ -53,7 +53,6 @@ _LOAD_PARAMETERS = (
 )
 
 _LOWEST, _HIGHEST = 0.05, 1.5  # of the cut-off: the free-free modes that are searched
-_ROUGHLY = 1e-3  # tolerance of the rigid joint that is a start
 
 
 def motion_problem(
@@ -173,7 +172,7 @@ def _search_spring(record: Record, joint: FlexibleJoint, problem: ClosedLoopProb
     """Return the end of the search from a rigid joint below the resonance."""
     slow, delay = Filtering(cutoff=rigid_cutoff(record)), problem.parameters[-1]
     rigid = motion_problem(record, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
-    values, cutoff = _fit_rigid(rigid, replace(history, tolerance=_ROUGHLY)).values, problem.filtering.cutoff or 0.0
+    values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))
     return history.solve(problem, search_spring(problem, values, row, problem.filtering, history).x)
 

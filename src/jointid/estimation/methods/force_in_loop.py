@@ -42,20 +42,18 @@ from jointid.simulation.simulate import Outcome, Simulation
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import Limitation
 from jointid.uncertainty.model_tests import widened_to_second
-from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
+from jointid.uncertainty.position_dependent_error import RESTING, Uncertainty, uncertainty
 
+MATTERS, TOLD = 0.25, 1.0  # deviations: a smaller shift widens no interval, and a larger one is said
 _PAIRS = 4  # of opposite forces that are simulated
 _ROUNDS = 8  # at most
 _MEMORY = 10.0  # periods of the loop's crossover, over which the residual is correlated with itself
 _CORNERS = (0.015, 0.05, 0.15, 0.5, 1.5, 5.0)  # of the crossover, f_k; and a flat one
 _SLOWEST, _FASTEST = 0.05, 0.4  # of the crossover, of the sampling frequency: the range of the spectrum that is used
 _FEWEST = 8  # frequencies: as many as the spectrum has parts
-_MOVING = 0.02  # of the largest speed
 _ENOUGH = 0.1  # of the rows have to move
 _LEAKAGE = 1e-2  # of the largest power: what a lag window of few periods leaves of it elsewhere
 _LEAST = 1e-3  # of the torque: a smaller force moves nothing that matters
-_MATTERS = 0.25  # of a deviation: less moves nothing
-_TOLD = 1.0  # deviations: what moves further is said
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,54 +110,37 @@ def uncertainty_of_least_error(
 def widen_for_force(
     known: Uncertainty, problem: ClosedLoopProblem, x: FloatArray, J: FloatArray, history: History
 ) -> tuple[Uncertainty, tuple[FloatArray, RandomForce] | None]:
-    """Return an uncertainty at x, (free,), widened for a force in the loop, and what `allow_for_force` found."""
-    found = allow_for_force(problem, x, J, known.covariance.std, history)
-    if found is None:
-        return known, None
-    there, force = found
-    each = zip(problem.free_joint, there, x, known.covariance.std, strict=False)
-    moved = {p.name: float(value) for p, value, before, own in each if abs(value - before) > _TOLD * own}
+    """Return an uncertainty at x, (free,), widened for a force in the loop; and where that moves x, and the force.
+
+    Where there is none, or it moves nothing by a quarter of its deviation, the uncertainty is as it was.
+    """
+    run, at, bounds, std = problem.simulate(x), x, Bounds.of(problem.free), known.covariance.std
+    history.tally.evaluations += 1
+    for count in range(_ROUNDS):
+        force = find_force(problem, at, run, problem.measured - run.torque)
+        if force is None or force.rms <= _LEAST * float(np.std(problem.measured)):
+            return known, None
+        # At the end of least squares the residual moves nothing: there only what the force adds does.
+        shown = run.torque if count == 0 else problem.measured
+        left = problem.filter(shown - simulate_mean(problem, at, force))
+        step = Influence(J, left).matrix @ left
+        if not np.all(np.isfinite(step)) or (count == 0 and not np.any(np.abs(step) > MATTERS * std)):
+            return known, None
+        at = bounds.clip(at + step)
+        J, run = -problem.linearise(at)[1], problem.simulate(at)
+        history.tally.evaluations += 2 * _PAIRS + 2
+        if not np.any(np.abs(step) > MATTERS * np.hypot(std, at - x)):
+            break
+    assert force is not None
+    each = zip(problem.free_joint, at, x, std, strict=False)
+    moved = {p.name: float(value) for p, value, before, own in each if abs(value - before) > TOLD * own}
     values = ", ".join(f"{name} {number(value, 3)} {problem.units[name]}".strip() for name, value in moved.items())
     said = (
         f"a random force in the loop, of about {number(force.rms, 2)} {problem.joint.force_unit} rms, lets friction "
         f"slide; simulated with it, the fit gives {values}: the intervals hold both"
     )
     stated = (Message(Limitation.FORCE_IN_LOOP, said, {"rms": force.rms, "values": moved}),) if moved else ()
-    return replace(known.widened_by(there - x), warnings=(*known.warnings, *stated)), found
-
-
-def allow_for_force(
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    J: FloatArray,
-    std: FloatArray,
-    history: History,
-) -> tuple[FloatArray, RandomForce] | None:
-    """Return the end of least squares with the force simulated, and the force; None if the shift is insignificant.
-
-    A shift of less than a quarter of the deviations without the force, `std`, does not matter.
-    """
-    run, at, bounds = problem.simulate(x), x, Bounds.of(problem.free)
-    history.tally.evaluations += 1
-    for count in range(_ROUNDS):
-        force = find_force(problem, at, run, problem.measured - run.torque)
-        if force is None or force.rms <= _LEAST * float(np.std(problem.measured)):
-            return None
-        history.tally.evaluations += 2 * _PAIRS
-        # At the end of least squares the residual moves nothing: there only what the force adds does.
-        shown = run.torque if count == 0 else problem.measured
-        left = problem.filter(shown - simulate_mean(problem, at, force))
-        step = Influence(J, left).matrix @ left
-        moves = np.abs(step) > _MATTERS * np.hypot(std, at - x)
-        if not np.all(np.isfinite(step)) or (count == 0 and not np.any(moves)):
-            return None
-        at = bounds.clip(at + step)
-        if count == _ROUNDS - 1 or not np.any(np.abs(step) > _MATTERS * np.hypot(std, at - x)):
-            return at, force
-        J = -problem.linearise(at)[1]
-        run = problem.simulate(at)
-        history.tally.evaluations += 2
-    return None
+    return replace(known.widened_by(at - x), warnings=(*known.warnings, *stated)), (at, force)
 
 
 def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray) -> RandomForce | None:
@@ -167,7 +148,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
     from scipy.optimize import nnls
 
     speed = np.abs(run.motor_velocity)
-    moving = (speed > _MOVING * np.max(speed, initial=0.0)).astype(np.float64)
+    moving = (speed > RESTING * np.max(speed, initial=0.0)).astype(np.float64)
     if run.outcome is not Outcome.FINISHED or np.mean(moving) < _ENOUGH:
         return None
     values = problem.values(x)

@@ -50,7 +50,8 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, motion_at, run_loop
 from jointid.simulation.start import Initial
-from jointid.solvers.regression import conditioning
+from jointid.solvers.solve import conditioning
+from jointid.uncertainty.covariance import LEVEL, SHOWN
 from jointid.uncertainty.model_tests import durbin_wu_hausman
 
 VARIANTS = {
@@ -60,8 +61,6 @@ VARIANTS = {
 }
 """How IDIM was run, by its estimator."""
 
-_LEVEL = 0.05  # of the test whether least squares would have done
-_SHOWN = 4.0  # deviations: a smaller difference of two encoders' zeros is none
 _SLIGHT = 1e-3  # of the torque: a smaller force of that difference is none, as filters leave as much
 
 
@@ -224,7 +223,7 @@ def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
     rows, free = solved.rows, solved.free
     left = solved.residual + rows.W[:, free] @ solved.values[free]
     p_value = durbin_wu_hausman(rows.W[:, free], left, Z, rows.equations)
-    rejected = p_value < _LEVEL
+    rejected = p_value < LEVEL
     said = "columns are correlated with errors" if rejected else "nothing speaks against least squares"
     said = f"{said} (p = {p_value:.2g}): its values {'are biased' if rejected else 'agree with these'}"
     return check_of(Subject.INSTRUMENTS, not rejected, Reason.MOTION_MEASURED, said, {"p_value": p_value})
@@ -233,7 +232,7 @@ def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
 def _shows_zeros(found: Solution) -> bool:
     """Test whether two encoders count from different zeros."""
     slight = _SLIGHT * float(np.sqrt(np.mean(found.rows.Y**2)))
-    return bool(abs(found.values[-1]) > max(_SHOWN * found.covariance.std[-1], slight))
+    return bool(abs(found.values[-1]) > max(SHOWN * found.covariance.std[-1], slight))
 
 
 def torques_along(

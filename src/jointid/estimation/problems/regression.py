@@ -27,7 +27,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import number
 from jointid.records.record import Timing
-from jointid.solvers.regression import least_squares
+from jointid.solvers.solve import least_squares
 from jointid.uncertainty.covariance import Covariance, Influence, white
 
 _CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike

@@ -35,13 +35,10 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter
 from jointid.common.text import number
-from jointid.uncertainty.covariance import Covariance, covariance_of
-from jointid.uncertainty.resampling import Sums, scale_of, total
+from jointid.uncertainty.covariance import LEVEL, Covariance, Sums, covariance_of, determine, total
 
-_LEVEL = 0.05
 _MOST = 24  # segments
 _WINDOWS = 3  # in a segment at least, for each parameter
-_SINGULAR = 1e-12  # of the largest: a direction that a segment does not tell
 _TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
 
 
@@ -124,7 +121,7 @@ class Agreement:
     @property
     def differs(self) -> bool:
         """Whether the records differ by more than their intervals allow, jointly or in one of the parameters."""
-        return any(p.differs for p in self.parameters) or (self.p_value is not None and self.p_value <= _LEVEL)
+        return any(p.differs for p in self.parameters) or (self.p_value is not None and self.p_value <= LEVEL)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -163,7 +160,7 @@ def compare_records(records: Sequence[Alone], units: Mapping[str, str], of: str 
     if not shared:
         return Agreement((), None, tuple(records), of)
     p_value = float(chdtrc(*_jointly(records, shared)[::-1]))
-    level, found = _LEVEL if p_value <= _LEVEL else _LEVEL / len(shared), list[Scatter]()
+    level, found = LEVEL if p_value <= LEVEL else LEVEL / len(shared), list[Scatter]()
     for name in shared:
         std = [r.covariance.std[[*r.values].index(name)] for r in records if name in r.values]
         weights = 1.0 / np.array(std) ** 2
@@ -242,8 +239,5 @@ def drift(
 
 def _invert_root(A: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return the inverse root of J'J, symmetric where J has columns of length 1; and which parameters J determines."""
-    scale = scale_of(A)
-    values, vectors = np.linalg.eigh(A / np.outer(scale, scale))
-    kept = values > _SINGULAR * values[-1]
-    roots = np.where(kept, 1.0 / np.sqrt(np.maximum(values, 1e-300)), 0.0)
-    return (vectors * roots) @ vectors.T / scale[:, np.newaxis], np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD
+    scale, values, vectors = determine(A)
+    return vectors / np.sqrt(values) @ vectors.T / scale[:, np.newaxis], np.sum(vectors**2, axis=1) > _TOLD

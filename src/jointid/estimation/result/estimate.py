@@ -28,8 +28,8 @@ from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.regression import Conditioning
-from jointid.uncertainty.covariance import Covariance
+from jointid.solvers.solve import Conditioning
+from jointid.uncertainty.covariance import INTERVAL, Covariance
 from jointid.uncertainty.identifiability import Identifiability
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class EstimatedParameter:
         deviation = self.deviation
         if self.value is None or deviation is None:
             return None
-        return self.value - 2 * deviation, self.value + 2 * deviation
+        return self.value - INTERVAL * deviation, self.value + INTERVAL * deviation
 
     def __str__(self) -> str:
         """Return the value with its interval; of a refused one its bound."""
@@ -97,7 +97,7 @@ class EstimatedParameter:
             return "not identifiable" if self.lower_bound is None else f"> {number(self.lower_bound, 3)}"
         if self.at_bound is not None or not self.free:
             return f"{number(self.value)} (fixed)" if self.at_bound is None else f"{number(self.at_bound)} (bound)"
-        return number(self.value) if self.deviation is None else interval(self.value, 2 * self.deviation)
+        return number(self.value) if self.deviation is None else interval(self.value, INTERVAL * self.deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

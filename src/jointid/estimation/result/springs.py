@@ -35,12 +35,12 @@ from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_fo
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
-from jointid.estimation.spring_search import FASTEST, crossover, divide, frequency_of
+from jointid.estimation.spring_search import DAMPED, FASTEST, crossover, divide, frequency_of
 from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import Numbers
 from jointid.solvers.solve import LevenbergMarquardt, Solution, Tally, damped_step, solve
-from jointid.uncertainty.covariance import Influence, white
+from jointid.uncertainty.covariance import INTERVAL, Influence, white
 from jointid.uncertainty.identifiability import Identifiability, Known, find_separable, sums_of
 from jointid.uncertainty.model_tests import flexible_against_rigid
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
@@ -64,7 +64,7 @@ _BOTH_SIDES = 1.42  # times a bound's threshold is an interval's at 95 %: 3.841 
 _BAND = 0.15  # of the sampling frequency, in which a bound is searched: modes above the fitted band show there
 _SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
 _STEPS, _HALVINGS = 10, 3  # between them; and of the last step
-_DAMPED, _SHARE = 0.03, 0.33  # of a mode, and of the load, to begin with
+_SHARE = 0.33  # of the load, to begin with
 _SMALL, _LARGE, _BETWEEN = 0.1, 0.4, 0.25  # shares of the load to begin with beside a dip, whatever it has
 _SMALLEST, _LARGEST = 0.03, 0.9  # shares of the load that are tried
 _QUANTILE = 2.706  # of chi-square with one degree of freedom, at 90 %: one side of it is passed by one in twenty
@@ -210,7 +210,7 @@ def _doubts(
     if known.repeatable.significant and without - left < known.repeatable.share * left:
         yield "the spring explains less of what remains than repeats with the motion and no noise explains"
     for p, value, spread in zip(problem.free, x, known.covariance.std, strict=True):
-        if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and value <= 2 * spread:
+        if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and value <= INTERVAL * spread:
             yield f"the interval of {p.name} holds 0"
     mode = frequency_of(problem.values(x))
     if mode > FASTEST / problem.axis.sample_time:
@@ -361,13 +361,13 @@ def profile_modes(
     high = _STIFFEST * cutoff
     low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
     start = divide(problem.parameters, rigid, 1.0)
-    start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
+    start |= {"inertia": rigid["inertia"], "ratio": DAMPED, "share": _SHARE, "mode": high}
     free = {p.name: replace(p, free=True) for p in problem.parameters if p.name in _SPRING}
     made = ModeProfile(problem.with_log(filtering=band).replace_parameters(free), (low, high), tally)
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
     for mode in np.geomspace(high, low, _STEPS)[1:]:
-        last = made.fit({**last.at, "ratio": max(last.at["ratio"], _DAMPED)}, _HELD, mode=float(mode))
+        last = made.fit({**last.at, "ratio": max(last.at["ratio"], DAMPED)}, _HELD, mode=float(mode))
         made.points.append(last)
         if last.cost > 2 * made.stiff.cost:
             last = made.stiff
@@ -376,7 +376,7 @@ def profile_modes(
     dips = [made.points[i - 1] for i in range(1, len(least) - 1) if least[i] < min(least[i - 1], least[i + 1], near)]
     ends = [made.fit(point.at, _FREE) for point in dips]
     for point in dips if thorough else ():
-        beside = {**point.at, "ratio": _DAMPED, "share": _LARGE if point.at["share"] < _BETWEEN else _SMALL}
+        beside = {**point.at, "ratio": DAMPED, "share": _LARGE if point.at["share"] < _BETWEEN else _SMALL}
         ends.append(made.fit(beside, _SEEK))
     whole = found["motor_inertia"] + found["load_inertia"]
     ratio = min(damping_ratio(found), MOST_DAMPED)

@@ -11,10 +11,12 @@ import numpy as np
 
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Table, Verdicts, common_facts
 from jointid.common.text import in_words, interval, number
-from jointid.estimation.parameters import INITIAL
 from jointid.estimation.result.agreement import Alone
 from jointid.estimation.result.verdict import moved_by_loop, told_bounds
 from jointid.models.robots.robot import Robot
+from jointid.simulation.start import INITIAL
+from jointid.uncertainty.covariance import INTERVAL
+from jointid.uncertainty.identifiability import INSEPARABLE
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate, EstimatedParameter
@@ -23,7 +25,6 @@ Column: TypeAlias = tuple[str, Sequence[str], bool]
 """Header and cells of a column, and whether they are words."""
 
 _SHOWN_SHIFT = 0.5  # standard errors that a fault moves a parameter by at least to be marked beside it
-_INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse stands in the details only
 
 
@@ -65,7 +66,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         yield _table(
             "known together",
             ("combination", [one.combination.name for one in known], True),
-            ("value ± 2 sigma", [interval(one.value, 2 * one.std) for one in known], False),
+            ("value ± 2 sigma", [interval(one.value, INTERVAL * one.std) for one in known], False),
             ("unit", [one.combination.unit for one in known], True),
             ("symbol", [one.combination.formula for one in known], True),
         )
@@ -78,7 +79,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
             ("mode [Hz]", [f"{b.frequency:.0f}" if b.frequency else "-" for b in bounds], False),
         )
     if parts:
-        told = [{n: interval(one.values[n], 2 * one.std[n]) for n in one.values} for one in parts]
+        told = [{n: interval(one.values[n], INTERVAL * one.std[n]) for n in one.values} for one in parts]
         yield _table(
             "each by itself, ± 2 sigma without what all of them err alike",
             ("", [one.name for one in parts], True),
@@ -155,8 +156,8 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
     elif any(p.nominal is not None for p in rows):
         columns.append(("nominal", ["-" if p.nominal is None else number(p.nominal, 4) for p in rows], False))
     for k, one in enumerate(_parts_of(estimate, "records"), 1):
-        alone = [interval(one.values[p.name], 2 * one.std[p.name]) if p.name in one.values else "-" for p in rows]
-        columns.append((f"{k} alone", alone, False))
+        alone = {name: interval(value, INTERVAL * one.std[name]) for name, value in one.values.items()}
+        columns.append((f"{k} alone", [alone.get(p.name, "-") for p in rows], False))
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
     columns.append(("symbol", [p.symbol for p in rows], True))
@@ -182,7 +183,7 @@ def remarks(estimate: Estimate) -> dict[str, str]:
     moved = {name: sum(by) for name, by in moved_by_loop(estimate).items() if name in rows}
     shown = {name: by for name, by in moved.items() if abs(by) > _SHOWN_SHIFT * (rows[name].stderr or 0.0)}
     found = {name: [f"would change by {number(by, 3, '+')}"] for name, by in shown.items()}
-    for i, j in np.argwhere(np.abs(estimate.correlation) > _INSEPARABLE):
+    for i, j in np.argwhere(np.abs(estimate.correlation) > INSEPARABLE):
         one, other = estimate.free[i], estimate.free[j]
         apart = i != j and not estimate.fit.axis_errors
         if apart and all(name in rows and rows[name].of_joint for name in (one, other)):

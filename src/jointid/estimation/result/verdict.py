@@ -18,6 +18,7 @@ import numpy as np
 from jointid.common.document import Documented
 from jointid.common.messages import Message
 from jointid.common.text import in_words, join, number
+from jointid.uncertainty.covariance import INTERVAL
 from jointid.uncertainty.model_tests import Whiteness
 from jointid.uncertainty.position_dependent_error import Repeatable
 
@@ -30,7 +31,6 @@ POOR_FIT = 0.15
 SLIGHT = 1e-3
 """Share of a value that no decision depends on; the log of a simulator without noise shows smaller faults."""
 
-_TWO = 2.0  # standard deviations
 _DRIVING = ("viscous",), ("viscous_forwards",), ("viscous_backwards",), ("coulomb",), ("coulomb", "stribeck_force")
 
 
@@ -229,7 +229,7 @@ def _check_bounds(estimate: Estimate) -> Check:
         for sums in _DRIVING:
             names = [name for name in (f"{axis}.{part}" for part in sums) if name in rows]
             spread = estimate.covariance_of(names).std_of(np.ones(len(names))) if names else 0.0
-            if sum(rows[name].value or 0.0 for name in names) < -_TWO * spread:
+            if sum(rows[name].value or 0.0 for name in names) < -INTERVAL * spread:
                 driving.append(axis)
     if driving:
         axes = [*dict.fromkeys(driving)]
@@ -347,7 +347,7 @@ def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
             words += f", for a load of {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the inertia"
     elif mode is not None:
         words += f", mode {number(mode, 3)} Hz"
-    two_sigma = None if asked.deviation is None else 2 * asked.deviation
+    two_sigma = None if asked.deviation is None else INTERVAL * asked.deviation
     values = {"parameter": asked.name, "value": asked.value, "two_sigma": two_sigma, "unit": asked.unit}
     return Message(code, words, values | {"mode_hz": mode, "lower_bound": least})
 
@@ -448,8 +448,8 @@ def _speak_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iter
     value, deviation = asked.value or 0.0, asked.deviation
     if deviation is None or not math.isfinite(value + deviation):
         yield Message(Reason.NO_INTERVAL, "its interval is not known")
-    elif 2 * deviation > _WIDE * abs(value):
-        share = f"to {number(200 * deviation / abs(value), 2)} % only" if value else "not even by its sign"
+    elif INTERVAL * deviation > _WIDE * abs(value):
+        share = f"to {number(100 * INTERVAL * deviation / abs(value), 2)} % only" if value else "not even by its sign"
         yield Message(Reason.WIDE_INTERVAL, f"it is known {share}")
 
 
@@ -468,5 +468,5 @@ def _moved_out(estimate: Estimate) -> list[str]:
     They leave two standard errors, and by no slight change.
     """
     moved = {name: max(map(abs, (sum(by), *by))) for name, by in moved_by_loop(estimate).items()}
-    within = {row.name: max(2.0 * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0)) for row in estimate.rows}
+    within = {row.name: max(INTERVAL * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0)) for row in estimate.rows}
     return [name for name, width in within.items() if moved.get(name, 0.0) > width]

@@ -43,7 +43,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import LOAD_STATE, LOG_DELAY, Numbers, Place, robot_with
-from jointid.uncertainty.covariance import Covariance, covariance_of
+from jointid.uncertainty.covariance import INTERVAL, Covariance, covariance_of
 
 _SPREAD = 0.3
 """How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
@@ -66,7 +66,6 @@ _ROWS = (
     *(("mass", "kg"), ("centre x", "m"), ("centre y", "m"), ("centre z", "m")),
     *((f"inertia {axes}", "kg m2") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
 )
-_TWO = 2.0  # standard deviations of an interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +248,7 @@ class Payload(Documented):
         """Return the mass and the centre first, then each number; there are no further details."""
         del details
         lines = [
-            (name, interval(float(row["value"]), _TWO * float(row["std"])), str(row["unit"]))
+            (name, interval(float(row["value"]), INTERVAL * float(row["std"])), str(row["unit"]))
             for name, row in self.rows.items()
         ]
         at = ", ".join(number(float(one), 3) for one in self.properties[0][1:4])

@@ -63,7 +63,7 @@ from jointid.estimation.parameters import (
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.problems.simulated import Runs, Simulated, outcome_of, pose_robot
 from jointid.estimation.rigid_starts import start_rigid_robot
-from jointid.estimation.spring_search import STIFFEST, SplitRobot
+from jointid.estimation.spring_search import LITTLE, STIFFEST, SplitRobot
 from jointid.models.controllers import numbers_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.signals.filtering import Filtering
@@ -71,17 +71,14 @@ from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, values_of_joint
 from jointid.simulation.simulate import Outcome
 from jointid.solvers.solve import LevenbergMarquardt, Status
-from jointid.uncertainty.covariance import Covariance, Influence, white
+from jointid.uncertainty.covariance import INTERVAL, SHOWN, Covariance, Influence, white
 from jointid.uncertainty.identifiability import find_separable
 
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
-_UNSEEN = 2.0  # standard deviations: a compliance of less is not shown
 _OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
 _FALLING = 0.7  # of its error before a step: a descent that is on its way
-_POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
-_SHOWN = 4.0  # standard deviations by which a compliance differs from 0
 _NONE = 1e-9  # N m: bounds of a torque that nothing tells
 _COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first descent leads nowhere
 _FIRST = 12  # evaluations of a rough descent, mostly enough
@@ -152,7 +149,7 @@ class RobotFit:
         return float(self.values[at]), float(self.covariance.std[at])
 
 
-def conclude(end: Solved, made: int, most: float = 1.0 / _SHOWN) -> RobotFit:
+def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
     """Return the fit at the end of a search, after so many evaluations; for `most` see `_judge_springs`.
 
     Raises:
@@ -186,7 +183,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / _SHOWN) -> RobotFit:
     if problem.log.motion_measured:
         covariance = influence.widen_for_motion(covariance)
     known = zip(names, covariance.std, strict=True)
-    if untold := [n for n, s in known if n.endswith(f".{DELAY}") and not 2.0 * s < DELAYS[-1]]:
+    if untold := [n for n, s in known if n.endswith(f".{DELAY}") and not INTERVAL * s < DELAYS[-1]]:
         raise MethodError(
             f"The records do not tell {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
             "Move faster, record longer, or state the delay in [controller] and do not free it."
@@ -212,7 +209,7 @@ def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: flo
         if place.name == "stiffness":
             joint, stiffness = parameter.name.rpartition(".")[0], math.exp(value)
             shown = 0.0 < share < most and value < parameter.upper - _OFF
-            least = stiffness / (1.0 + _UNSEEN * share)
+            least = stiffness / (1.0 + INTERVAL * share)
             found.append(SpringVerdict(joint, shown, stiffness, stiffness * float(share), least))
     return tuple(found)
 
@@ -364,7 +361,7 @@ class _Search:
         if lost:  # no better than without springs: one that has none, or high modes, is found from stiff ones
             end = begin(start.stiff)
         known = white(end.solution.jacobian, end.solution.residual)
-        hopeful = any(one.shown for one in _judge_springs(end.problem, end.x, known.std, 1.0 / _UNSEEN))
+        hopeful = any(one.shown for one in _judge_springs(end.problem, end.x, known.std, 1.0 / INTERVAL))
         if not hopeful or (lost and end.norm > without):  # a longer search would find none
             with suppress(MethodError):
                 seen = _go_on(replace(problem, sigma=rough.sigma), end, _CLOSE, history, evaluations=1)
@@ -467,7 +464,7 @@ def _leads_on(end: Solved) -> bool:
     if not end.solution.converged:
         return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
     left = end.problem.norms(linearise_again(end)[0])
-    return not np.any(left > _POOR * end.problem.sizes)
+    return not np.any(left > LITTLE * end.problem.sizes)
 
 
 # Springs
