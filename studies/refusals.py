@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from jointid.common.messages import ignore_progress
-from jointid.estimation.descent import History, descend
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
 from jointid.estimation.spring_search import frequency_of, on_band
@@ -66,7 +66,7 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     end = descend(problem, truth, _EXACTLY)
     x, J = end.x, -end.jacobian
     known = uncertainty(Influence(J, problem.residual(x)), problem.cells(problem.simulate(x)))
-    spring = visible(problem, x, J, known, (2, 2), History(ignore_progress), (_SHARE,))
+    spring = visible(problem, x, J, known, (2, 2), ignore_progress, (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
     bound = spring.bounds[0].stiffness if spring.bounds else None
     return StiffnessRun(float(truth[at]), float(predicted), value, std, bound)

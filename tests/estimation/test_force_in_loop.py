@@ -7,7 +7,6 @@ import pytest
 
 import jointid as ji
 from jointid.common.messages import ignore_progress
-from jointid.estimation.descent import History
 from jointid.estimation.methods.force_in_loop import find_force, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
@@ -48,7 +47,7 @@ def test_a_force_is_found_and_intervals_hold_what_it_moves(seed: int) -> None:
     before = end.x[at] - truth
     assert before < -0.1 * truth  # too little friction, without the force
     exact = Uncertainty(Covariance(np.zeros(end.x.size), np.eye(end.x.size)), Repeatable(0.0, 0.0, None))
-    _, (there, force) = widen_for_force(exact, problem, end.x, -end.jacobian, History(ignore_progress))
+    _, (there, force) = widen_for_force(exact, problem, end.x, -end.jacobian)
     assert abs(there[at] - truth) < 0.25 * abs(before)
     assert force.rms == pytest.approx(axis.force, rel=0.3)
 
@@ -73,7 +72,7 @@ def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
     x = problem.vector({**axis.truth, "initial_position": 0.0})
     error, slopes = problem.linearise(x)
     known = uncertainty(Influence(slopes, error), problem.cells(problem.simulate(x)))
-    assert widen_for_force(known, problem, x, -slopes, History(ignore_progress)) == (known, None)
+    assert widen_for_force(known, problem, x, -slopes) == (known, None)
 
 
 @pytest.mark.slow
@@ -88,7 +87,7 @@ def test_sums_beside_a_refused_spring_hold_what_a_force_moves() -> None:
     x = problem.vector(start)
     error, J = problem.linearise(x)
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
-    found = visible(problem, x, J, known, (2, 2), History(ignore_progress), ())
+    found = visible(problem, x, J, known, (2, 2), ignore_progress, ())
     assert not found.shown
     for name in SUMS:
         assert abs(found.rigid[name] - axis.truth[name]) <= 2 * found.std[name]

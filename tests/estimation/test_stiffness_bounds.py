@@ -19,7 +19,6 @@ from jointid.estimation.result.springs import (
 from jointid.estimation.result.verdict import StiffnessBound
 from jointid.models.joints import FlexibleJoint
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.solve import Tally
 from studies.stiffness_bounds import random_plant
 
 DIP = 200.0
@@ -107,6 +106,6 @@ def test_a_rigid_joint_that_explains_nothing_excludes_nothing() -> None:
     plant = random_plant(3)
     problem = torque_problem(plant.record, plant.loop, Filtering(), plant.loop.joint.parameters)
     rigid = {"inertia": 1e-5, "viscous": 0.1, "coulomb": 0.1, "offset": 0.0}
-    made = profile_modes(problem, rigid, plant.truth, Tally())
+    made = profile_modes(problem, rigid, plant.truth)
     assert made.threshold == math.inf
     assert bound_stiffness(made, 0.2, 0.0) == StiffnessBound(0.2, None, None)

@@ -10,7 +10,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
-from jointid.estimation.descent import History
 from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
@@ -110,7 +109,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     names = [p.name for p in problem.free]
     assert not J[:, names.index("load_inertia")].any()
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
-    found = visible(problem, x, J, known, (2, 2), History(ignore_progress), (0.5,))
+    found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
     assert not found.shown
     assert any("the load never moves" in check.words for check in found.checks)
 

@@ -136,7 +136,7 @@ def free_more(solved: Solved, names: tuple[str, ...], history: History) -> Solve
     return history.solve(wider, wider.vector(solved.values))
 
 
-def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
+def is_significant(resting: Solved, moving: Solved) -> bool:
     """Test whether a first velocity explains more torque than noise, and is above two robust standard deviations.
 
     A residual is correlated as a rule, and a motor that slips before it sticks changes where it stands for the rest of
@@ -149,7 +149,6 @@ def is_significant(resting: Solved, moving: Solved, history: History) -> bool:
     names = [p.name for p in problem.free]
     if "initial_velocity" not in names:
         return True
-    history.tally.evaluations += 1
     known = uncertainty(Influence(J, moving.solution.residual), problem.cells(problem.simulate(x)))
     at = names.index("initial_velocity")
     return bool(abs(x[at]) > INTERVAL * known.covariance.std[at])
@@ -212,7 +211,7 @@ def search_rigid_joint(
     # law is off, the start another state.
     for there in guess_motions() if best.norm > rounding else ():
         moved = history.solve(problem, problem.vector({**best.values, **there}))
-        best = moved if is_significant(best, moved, history) else best
+        best = moved if is_significant(best, moved) else best
     if best.norm <= rounding:
         exact = replace(best.solution, status=Status.EXACT, message="the torque is reproduced to rounding")
         best = best._replace(solution=exact)
@@ -260,7 +259,6 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History
     own, around = problem.parameters[: len(joint.parameters)], linear.around  # the motor may begin moving there
     problem = replace(problem.with_log(filtering=linear.filtering), parameters=(*own, *around))
     (run,) = linear.run(found.x)
-    history.tally.evaluations += 1
     starts = law_starts(joint, linear.joint, found.values, run, 0, {p.name: p.start for p in own})
     history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, problem.vector(start), ROUGH) for start in starts]

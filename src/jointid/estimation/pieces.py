@@ -413,7 +413,7 @@ def _judge(
         float(np.linalg.norm(left * sizes) / np.linalg.norm(sizes)),
         sum(count),
         (solution.message, solution.converged),
-        sum(fit.fit.simulations for fit in fits) + made + 2 * len(runs),
+        sum(fit.fit.simulations for fit in fits) + made,
         replace(fits[0].settings, loop=loop, delay=loop.controller.law(problems[0].sample_time).delay),
         [name for one in layout.loops for name in one.channels],
         agreement=compared,

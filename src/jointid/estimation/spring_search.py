@@ -135,7 +135,7 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
         # From an end at rest no descent leads to one that moves.
         moving = problem.replace_parameters({p.name: replace(p, start=motion[p.name]) for p in INITIAL_STATE})
         end = search_spring(moving, joint, row, task.filtering, history, widely)
-        return end if is_significant(found, end, history) else found
+        return end if is_significant(found, end) else found
 
     ends, failures = list[tuple[float, Solved]](), list[MethodError]()
     for joint, widely in ((rigid, False), (rigid, True), ({}, True))[: 1 if frequency else None]:
@@ -283,7 +283,6 @@ def search_spring(
     for values in _explore(wide, rigid, row, history, widely)[:_REFINED]:
         on = on_band(problem, filtering, frequency_of(values))
         x = history.solve(on, on.vector(values), ROUGH).x
-        history.tally.evaluations += 1
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
         cost, mode, x = min(ends, key=itemgetter(0))
         together = sum(_agree(end[:2], (cost, mode), wide.size) for end in ends)
@@ -317,7 +316,6 @@ def _explore(
     each = list(product(row, inertias, shares))
     starts = [start_with_mode(problem, {**rigid, "inertia": n * rigid["inertia"]}, f, share) for f, n, share in each]
     costs = in_threads(lambda start: float(np.linalg.norm(problem.residual(problem.vector(start)))), starts)
-    history.tally.evaluations += len(starts)
     found = dict[object, dict[str, float]]()
     for i in np.argsort(costs):
         if costs[i] < _UNSTABLE * problem.size:  # a start beside another leads nowhere new
@@ -389,7 +387,6 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
     here, *left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), [x, *tried])
     nearest = [tried[i] for i in np.argsort(left)[:2]]  # a valley's two sides may have a bottom each
     ends = in_threads(lambda at: Solved(problem, solve(problem, _STEP, at)), nearest)
-    history.tally.evaluations += len(tried) + 5
     best = min(ends, key=attrgetter("norm"))
     if not best.norm < (1 - _BETTER) * here - _REST * problem.size:
         return None

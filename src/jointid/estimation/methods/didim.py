@@ -129,18 +129,17 @@ class DIDIM(Method):
         problem, x = solved.problem, solved.x
         error, J = history.count_evaluations(problem).linearise(x)
         run, end = problem.simulate(x), (solved.solution.message, solved.solution.converged)
-        history.tally.evaluations += 1
         if task.joint.model == "rigid":
             joint = problem.free_joint
             refuse_idle(J[:, : len(joint)], tuple(p.name for p in joint))
-            known, spring = uncertainty_of_least_error(problem, x, run, error, -J, history), None
+            known, spring = uncertainty_of_least_error(problem, x, run, error, -J), None
         else:
             if np.linalg.norm(error) > NOTHING * problem.size:
                 end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
             known = uncertainty(Influence(J, error), problem.cells(run))
-            spring = visible(problem, x, J, known, starts, history)
+            spring = visible(problem, x, J, known, starts, history.progress)
             if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
-                known, _ = widen_for_force(known, problem, x, -J, history)
+                known, _ = widen_for_force(known, problem, x, -J)
         filtering = problem.filtering
         assert filtering.cutoff is not None
         white = whiteness(error, problem.sample_time * (filtering.decimation or 1), filtering.cutoff)

@@ -31,7 +31,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.parameters import Bounds
 from jointid.common.text import number
-from jointid.estimation.descent import History
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import find_active_bounds
 from jointid.estimation.spring_search import crossover
@@ -89,7 +88,6 @@ def uncertainty_of_least_error(
     run: Simulation,
     residual: FloatArray,
     J: FloatArray,
-    history: History,
 ) -> Uncertainty:
     """Return the uncertainty of the free parameters at a least torque error.
 
@@ -97,7 +95,7 @@ def uncertainty_of_least_error(
     of its regressor lies away where noise does not explain that (`second_solution`). At x, (free,), `run` is of the
     loop, `residual`, (rows,), filtered, and J, (rows, free), has the derivatives of the simulated torque, filtered.
     """
-    known, _ = widen_for_force(uncertainty(Influence(J, residual), problem.cells(run)), problem, x, J, history)
+    known, _ = widen_for_force(uncertainty(Influence(J, residual), problem.cells(run)), problem, x, J)
     if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
     held = find_active_bounds(problem.free, x, residual, J)
@@ -108,14 +106,13 @@ def uncertainty_of_least_error(
 
 
 def widen_for_force(
-    known: Uncertainty, problem: ClosedLoopProblem, x: FloatArray, J: FloatArray, history: History
+    known: Uncertainty, problem: ClosedLoopProblem, x: FloatArray, J: FloatArray
 ) -> tuple[Uncertainty, tuple[FloatArray, RandomForce] | None]:
     """Return an uncertainty at x, (free,), widened for a force in the loop; and where that moves x, and the force.
 
     Where there is none, or it moves nothing by a quarter of its deviation, the uncertainty is as it was.
     """
     run, at, bounds, std = problem.simulate(x), x, Bounds.of(problem.free), known.covariance.std
-    history.tally.evaluations += 1
     for count in range(_ROUNDS):
         force = find_force(problem, at, run, problem.measured - run.torque)
         if force is None or force.rms <= _LEAST * float(np.std(problem.measured)):
@@ -128,7 +125,6 @@ def widen_for_force(
             return known, None
         at = bounds.clip(at + step)
         J, run = -problem.linearise(at)[1], problem.simulate(at)
-        history.tally.evaluations += 2 * _PAIRS + 2
         if not np.any(np.abs(step) > MATTERS * np.hypot(std, at - x)):
             break
     assert force is not None

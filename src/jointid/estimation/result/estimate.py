@@ -110,7 +110,7 @@ class Fit:
         relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, the filter's borders left out.
         filtered_error: the same of the filtered and decimated torque: what was minimised.
         rows: filtered samples that were fitted.
-        simulations: that were run, all of them, those for derivatives and deviations included.
+        simulations: of the search, with or without derivatives.
         stop: why the search ended, in a sentence; converged: whether that is a good end.
         conditioning: of the regressor, for a linear regression.
         passes: over the whole of a long log.
@@ -562,7 +562,7 @@ def build_estimate(
         error: share of the filtered torque that the model leaves; of a robot (n,).
         fitted: rows of the filtered torque.
         end: why the search ended, and whether that is a good end.
-        simulations: that were run.
+        simulations: of the search.
         settings: model and method.
         channels: that were read; without them those of the loop, or else all of the records'.
         robot: that was identified; None for a joint.

@@ -27,10 +27,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Message
+from jointid.common.messages import Message, Progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Parameter, Quantity
-from jointid.estimation.descent import History, descend, with_linear_spring
+from jointid.estimation.descent import descend, with_linear_spring
 from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
@@ -39,7 +39,7 @@ from jointid.estimation.spring_search import DAMPED, FASTEST, crossover, divide,
 from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import Numbers
-from jointid.solvers.solve import LevenbergMarquardt, Solution, Tally, damped_step, solve
+from jointid.solvers.solve import LevenbergMarquardt, Solution, damped_step, solve
 from jointid.uncertainty.covariance import INTERVAL, Influence, white
 from jointid.uncertainty.identifiability import Identifiability, Known, find_separable, sums_of
 from jointid.uncertainty.model_tests import flexible_against_rigid
@@ -131,7 +131,7 @@ def visible(
     J: FloatArray,
     known: Uncertainty,
     together: tuple[int, int],
-    history: History,
+    progress: Progress,
     shares: Sequence[float] = SHARES,
 ) -> Visibility:
     """Return whether a record shows the spring of an estimate, or else how soft it may be.
@@ -142,15 +142,14 @@ def visible(
         J: (rows, free) the derivatives of the torque there, filtered.
         known: how well.
         together: how many of how many starts led to the estimate.
-        history: of the search.
+        progress: receives the steps.
         shares: of the load in the inertia, for which bounds are searched.
     """
     rigid, at = fit_rigid(problem, problem.values(x))
     (error, slopes), remains = rigid.linearise(at.x), problem.residual(x)
-    where, tally = rigid.cells(rigid.simulate(at.x)), history.tally
+    where = rigid.cells(rigid.simulate(at.x))
     values, found = rigid.values(at.x), problem.values(x)
     linear, made, left = with_linear_spring(problem), None, float(remains @ remains)
-    tally.evaluations += at.evaluations + 4
     reasons = [*_doubts(problem, x, J, known, (left, float(error @ error)), together)]
     if not reasons:
         # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
@@ -158,22 +157,21 @@ def visible(
         # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
         fitted = left if left < _FAR * float(error @ error) else None
         test = flexible_against_rigid(error, slopes, springs, where, fitted)
-        tally.evaluations += len(_TEST_SHARES) * len(_TEST_MODES)
         if test.significant and test.gained < _LITTLE:
-            made = profile_modes(linear, values, found, tally, thorough=True)
+            made = profile_modes(linear, values, found, thorough=True)
             std = dict(zip([p.name for p in problem.free], known.covariance.std.tolist(), strict=True))
             reasons = _other_spring(made, found["stiffness"], std.get("stiffness", 0.0))
         if test.significant and not reasons:
             return Visibility(springs_checks((), str(test)))
         reasons = reasons or [str(test)]
-    history.progress("the record does not show the spring; looking how soft it may be")
-    bounds = bound_all(made or profile_modes(linear, values, found, tally), shares)
+    progress("the record does not show the spring; looking how soft it may be")
+    bounds = bound_all(made or profile_modes(linear, values, found), shares)
     judged = uncertainty(Influence(slopes, error), where)
-    judged, moved = widen_for_force(judged, rigid, at.x, -slopes, history)
+    judged, moved = widen_for_force(judged, rigid, at.x, -slopes)
     if moved is not None:
         change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
         forced = with_linear_spring(problem.with_log(measured=problem.log.measured - change[:, np.newaxis]))
-        beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found, tally), shares)
+        beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found), shares)
         bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in zip(bounds, beside, strict=True)]
     checks = springs_checks([f"not identifiable from this record: {reasons[0]}", *reasons[1:]])
     stated = zip(rigid.free, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
@@ -308,7 +306,6 @@ class ModeProfile:
 
     Attributes:
         problem: see `describe`. room: the modes between which it is made, Hz.
-        tally: counts the simulations.
         threshold: how much worse than the best a joint may be; infinite where the stiff joint explains nothing.
         stiff: the joint that is nearly rigid.
         points: with the mode held, the stiffest first.
@@ -317,7 +314,6 @@ class ModeProfile:
 
     problem: ClosedLoopProblem
     room: tuple[float, float]
-    tally: Tally = field(default_factory=Tally)
     threshold: float = 0.0
     stiff: Fit = field(default=Fit({}, math.inf, math.inf))
     points: list[Fit] = field(default_factory=list)
@@ -328,7 +324,6 @@ class ModeProfile:
         problem = describe(self.problem, self.room, held)
         bounds, x = Bounds.of(problem.free), np.array([start[p.name] for p in problem.free])
         end = solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
-        self.tally.evaluations += end.evaluations
         cost = least = float(end.residual @ end.residual)
         if end.jacobian.any():
             room, widths = bounds.shift_to(end.x), bounds.upper - bounds.lower
@@ -342,7 +337,6 @@ def profile_modes(
     problem: ClosedLoopProblem,
     rigid: Mapping[str, float],
     found: Mapping[str, float],
-    tally: Tally,
     *,
     thorough: bool = False,
 ) -> ModeProfile:
@@ -352,7 +346,6 @@ def profile_modes(
         problem: of the flexible joint, as it was solved.
         rigid: every parameter of a rigid joint on the same band, and of what surrounds it.
         found: every parameter of the flexible joint that the search ended on.
-        tally: counts the simulations.
         thorough: whether a dip is also followed from another share and a small damping, as before a value is given.
     """
     sample_time, law, cutoff = problem.axis.sample_time, problem.axis.law, problem.filtering.cutoff
@@ -363,7 +356,7 @@ def profile_modes(
     start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": DAMPED, "share": _SHARE, "mode": high}
     free = {p.name: replace(p, free=True) for p in problem.parameters if p.name in _SPRING}
-    made = ModeProfile(problem.with_log(filtering=band).replace_parameters(free), (low, high), tally)
+    made = ModeProfile(problem.with_log(filtering=band).replace_parameters(free), (low, high))
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
     for mode in np.geomspace(high, low, _STEPS)[1:]:
@@ -413,7 +406,6 @@ def _compute_cost_limit(made: ModeProfile) -> float:
     x = np.array([made.stiff.at[p.name] for p in stiff.free])
     error, J = stiff.linearise(x)
     bent = softer.residual(x) - error
-    made.tally.evaluations += 2
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
     return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)
