@@ -30,7 +30,7 @@ motor_position = { column = "turns [rev]" }
 [parameters]
 inertia = { upper = 2.5e-4 }
 """
-ON_LOAD = 'column = "x [mm]", side = "load" }\nload_position = { column = "x [mm]" }'
+ON_LOAD = 'column = "x [mm]" }\nload_position = { column = "x [mm]" }'
 SCREW = '[transmission]\nlead = "10 mm"\nsign = -1\nside = "SIDE"\n' + MOTOR.replace("revolute", "prismatic").replace(
     'column = "turns [rev]" }', ON_LOAD, 1
 )

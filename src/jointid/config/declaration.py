@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
+from difflib import get_close_matches
 from functools import cache, lru_cache
 from typing import Any, TypeAlias, get_args, get_origin
 
@@ -27,6 +28,8 @@ Place: TypeAlias = tuple[int | str, ...]
 _MOST = 10**9  # of what is counted
 _MOST_KEYS = 1000  # of a table, or tables of a list: each of more would be a sentence
 _WRONG: Any = object()  # stands for a value that has a fault
+_SHORT, _LONG = ("integral_time", "time_constant", "period", "delay"), 2.0  # s: a longer one may be in ms
+_MEANT = {"P-PI": "cascade", "P-P": "cascade", "rotary": "revolute", "rotation": "revolute", "linear": "prismatic"}
 
 OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
 """Output units of a controller, by the motion of its side."""
@@ -131,8 +134,7 @@ class Reader:
         if table.shorthand and not isinstance(raw, dict):
             raw = {table.shorthand: raw}
         if not isinstance(raw, dict) or len(raw) > _MOST_KEYS:
-            expected = f"a table of at most {_MOST_KEYS} keys"
-            return self._refuse(place, messages.describe_unexpected_value(raw, expected))
+            return self._refuse(place, messages.describe_unexpected_value(raw, f"a table of at most {_MOST_KEYS} keys"))
         if table.variants:
             word = raw.get(table.decided_by, next(iter(table.variants)))
             if not isinstance(word, str) or word not in table.variants:
@@ -152,7 +154,8 @@ class Reader:
     def _key(self, table: Table, name: str, raw: Any, place: Place) -> Any:
         """Return the value of a key as its declaration has it."""
         if name not in table.keys:
-            rest = f" is not a known key; expected one of {', '.join(table.keys)}: correct it, or leave it out."
+            guess = "".join(f"did you mean {one}? Otherwise " for one in get_close_matches(name, table.keys, 1))
+            rest = f" is not a known key; {guess}expected one of {', '.join(table.keys)}: correct it, or leave it out."
             return self._refuse(place, rest, "unknown")
         one = table.keys[name]
         if (own := table_of(one.type)) is not None:
@@ -183,6 +186,8 @@ class Reader:
                 found = to_si(raw, one.unit)
             else:
                 found = _convert(str if one.choices else one.type, raw)
+            if one.name in _SHORT and place not in self.texts and found > _LONG:
+                return self._refuse(place, f' is {raw:g} s; expected its unit, as "{raw:g} ms": add it.', "unit")
             if one.accept is not None:
                 one.accept(found)
             elif fault := one.fault(found):
@@ -206,7 +211,8 @@ class Reader:
         return _WRONG if any(value is _WRONG for value in made.values()) else tuple(made.values()) if is_list else made
 
     def _refuse(self, place: Place, rest: str, code: str = "value") -> Any:
-        self.faults.append(fault_at(place, rest, code))
+        meant = next((f' Here "{word}" is "{ours}".' for word, ours in _MEANT.items() if f' is "{word}"' in rest), "")
+        self.faults.append(fault_at(place, rest + meant, code))
         return _WRONG
 
 

@@ -296,11 +296,7 @@ class File:
         return self.path.parent / self.source.file
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
-        """Return the files that are read: those of the record that is named, or that the file names; a robot's model.
-
-        Args:
-            record: that takes the place of those that the file names.
-        """
+        """Return the files that are read: a robot's model, and the given record, or those that the file names."""
         named = record if record is not None or self.source.file is None else self.path.parent / self.source.file
         found = self.listed if record is None and self.runs else [named]
         return tuple(path for path in (self.model_path, *found) if path is not None)

@@ -126,9 +126,7 @@ def _fill_placeholders(column: Column, name: str, number: int) -> Column:
     """Return a column with the placeholders of its names replaced by name and number."""
 
     def filled(text: str) -> str:
-        for stand_in, meant in {"{joint}": name, "{axis}": str(number + 1), "{index}": str(number)}.items():
-            text = text.replace(stand_in, meant)
-        return text
+        return text.replace("{joint}", name).replace("{axis}", f"{number + 1}").replace("{index}", f"{number}")
 
     return replace(column, column=filled(column.column), time=None if column.time is None else filled(column.time))
 

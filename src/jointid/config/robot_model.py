@@ -8,7 +8,6 @@ beside it. Elements are counted before they are compiled. Links that do not move
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,7 +28,7 @@ from jointid.config.toml import read_text
 from jointid.models.robots.inertial import MassProperties, change_frame
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 
-_LARGEST = 2**23  # bytes
+LARGEST = 2**23  # bytes
 _DEEPEST = 300  # elements in each other: the parser calls itself for each
 _MOST_JOINTS = 100
 _MOST_PARTS = 5000  # elements that are compiled: MuJoCo's time grows with the square of their number
@@ -89,12 +88,7 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
         JointFileError: the file cannot be read, or is no tree of joints that turn or slide on their own.
         ExtraError: MuJoCo is not installed.
     """
-    return read_robot(read_model(path), Path(path).name, locked)[0]
-
-
-def read_model(path: str | os.PathLike[str]) -> str:
-    """Return the text of a model's file; see `jointid.config.toml.read_text`."""
-    return read_text(Path(path), _LARGEST)
+    return read_robot(read_text(Path(path), LARGEST), Path(path).name, locked)[0]
 
 
 def read_robot(
@@ -131,8 +125,7 @@ def read_robot(
     except (ValueError, MethodError, mujoco.FatalError, MemoryError) as error:
         reason = " ".join(str(error).split())[:300] or "it takes too much memory"
         raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
-    order = [one.get("name", "") for one in root.iter("joint")]
-    return replace(reorder_joints(robot, order), remarks=remarks), carried
+    return replace(reorder_joints(robot, [one.get("name", "") for one in root.iter("joint")]), remarks=remarks), carried
 
 
 def parse_model(text: str, called: str) -> ET.Element:
@@ -363,10 +356,8 @@ def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tu
 
 def _joint(model: Any, number: int) -> RobotJoint:
     name, dof = model.joint(number).name or f"joint{number + 1}", int(model.jnt_dofadr[number])
-    armature, damping, loss = (
-        float(np.ravel(values[dof])[0]) for values in (model.dof_armature, model.dof_damping, model.dof_frictionloss)
-    )
-    return RobotJoint(name, armature, damping, loss)
+    numbers = (model.dof_armature, model.dof_damping, model.dof_frictionloss)
+    return RobotJoint(name, *(float(np.ravel(values[dof])[0]) for values in numbers))
 
 
 def _body(model: Any, number: int) -> FloatArray:

@@ -61,9 +61,9 @@ def parse_toml(text: str) -> dict[str, Any]:
     except RecursionError:
         raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.") from None
     except ValueError as error:  # also a number of more digits than Python reads
-        raise JointFileError(
-            f'The text is not TOML: {error}; expected [tables] and lines of key = value, text in "quotes": correct it.'
-        ) from error
+        comma = " A number has a decimal point, as 20.0." if re.search(r"(?m)^\s*\w+\s*=\s*-?\d+,\d", text) else ""
+        expected = f'expected [tables] and lines of key = value, text in "quotes": correct it.{comma}'
+        raise JointFileError(f"The text is not TOML: {error}; {expected}") from error
 
 
 def _count_points(text: str) -> int:

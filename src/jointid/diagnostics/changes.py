@@ -233,8 +233,7 @@ def _swap_channels(case: Case) -> Iterator[Case]:
 def _try_sample_times(case: Case) -> Iterator[Case]:
     if getattr(case.controller, "period", None) is not None:
         return  # a controller with a period of its own contradicts a wrong sample time before anything is simulated
-    assert case.filtering.cutoff is not None
-    assert case.filtering.position_cutoff is not None
+    assert case.filtering.cutoff is not None and case.filtering.position_cutoff is not None
     for factor in _TIMES:
         channels = {n: replace(c, sample_time=factor * c.sample_time) for n, c in case.record.items()}
         cutoffs = {name: getattr(case.filtering, name) / factor for name in ("cutoff", "position_cutoff")}
@@ -290,7 +289,8 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
     if constant != 1.0 and _is(factor, constant):
         said = f"the torque constant ({constant:g}) is applied twice, or not at all"
         torque.insert(0, Cause("torque_constant", said, factor))
-    reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}'}", 1 / factor)]
+    geared = " (as by a gear that is not declared)" if gear is None else " (as by another gear)"
+    reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}{geared}'}", 1 / factor)]
     law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
     for causes in (reference, torque, law) if unit else (torque, law, reference):
         if case.record.injected is None or (causes is torque) is of_torque:

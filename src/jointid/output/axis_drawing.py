@@ -27,11 +27,13 @@ _RESONANCES = {"free_free": "Resonance", "motor_locked": "antiresonance", "secon
 
 
 def resonance_sentence(estimate: Estimate) -> str:
-    """State resonance and antiresonance as the motor sees them; empty for a joint without a spring."""
+    """State resonance and antiresonance as the motor sees them, and N/µm of a screw; empty without a spring."""
     frequencies = estimate.frequencies
     named = [(words, frequencies[name]) for name, words in _RESONANCES.items() if name in frequencies]
     stated = ", ".join(f"{words} {number(hertz, 3)} Hz" for words, hertz in named)
-    return f"{stated}, from motor torque to motor position." if stated else ""
+    spring = next((row for row in estimate.rows if row.name == "stiffness" and row.unit == "N/m" and row.value), None)
+    also = f" The stiffness is {number(1e-6 * (spring.value or 0.0), 3)} N/µm." if spring is not None else ""
+    return f"{stated}, from motor torque to motor position.{also}" if stated else ""
 
 
 @styled
@@ -103,7 +105,7 @@ def draw_part(axes: Axes, x: float, wide: float, name: str) -> None:
 
 def draw_gear(axes: Axes, gear: Transmission) -> None:
     """Draw two wheels with their ratio, or the lead of a screw."""
-    size = f"{gear.ratio:g}:1" if gear.ratio is not None else f"{1e3 * (gear.lead or 0.0):g} mm"
+    size = f"{gear.ratio:g}:1" if gear.ratio is not None else f"{1e3 * (gear.lead or 0.0):g} mm per turn"
     for x, points in ((_LEFT + 0.1, 11.0), (_LEFT + 0.32, 20.0)):
         axes.plot([x], [_BOX / 2], marker="o", markersize=points, markerfacecolor="white", color=_INK)
     _write(axes, _LEFT + 0.2, -0.15, size, _INK, bold=True)

@@ -3,7 +3,7 @@
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -201,13 +201,11 @@ def test_every_command_is_documented() -> None:
 
 @pytest.mark.parametrize("raised", [ji.MethodError, ji.RecordError, np.linalg.LinAlgError])
 def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise raised("by design")
-
-    monkeypatch.setattr(jointid, "tune", fails)
-    loop = SimpleNamespace(controller=SimpleNamespace(limit=1.0))
-    estimate = SimpleNamespace(settings=SimpleNamespace(loop=loop))
+    monkeypatch.setattr(jointid, "tune", Mock(side_effect=raised("by design")))
+    estimate = Mock(**{"settings.loop.controller.limit": 1.0, "answer.trust.code": "reliable"})
     assert "by design" in str(tune_to_limit(estimate))
+    estimate.answer.trust.code = "not_reliable_yet"
+    assert "relied" in str(tune_to_limit(estimate))
 
 
 @pytest.mark.slow

@@ -85,6 +85,15 @@ def test_a_fault_stands_beside_its_field_or_the_further_lines(changes: dict[str,
     assert [*place_faults(refused.value, {EXTRA, *fields_of(FILLED | changes)})] == [name]
 
 
+def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
+    geared = FILLED | {"transmission.ratio": "50", "joint.torque_constant": "0.62"}
+    asked = {"record.channels.reference.side": form.require_side, "controller.velocity_gain": form.require_unit}
+    for key, asks in asked.items():
+        with pytest.raises(JointFileError, match=r"\?|unit"):
+            asks(geared)
+        asks(geared | {key: "load" if key.endswith("side") else "500 A s/m"})
+
+
 @pytest.mark.parametrize(
     ("said", "names"),
     [

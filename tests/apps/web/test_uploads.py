@@ -66,18 +66,9 @@ def test_a_size_that_nobody_announced_is_stopped_at_the_bound(client: TestClient
     assert not asker.kept
 
 
-@pytest.mark.parametrize("name", ["run.exe", "run.csv.html", "run", "run.pkl", "run.svg"])
+@pytest.mark.parametrize("name", ["run.exe", "run.csv.html", "run", "run.pkl", "run.svg", "there.run"])
 def test_only_formats_that_are_read_are_taken(asker: Asker, log: bytes, name: str) -> None:
     assert "no format that is read" in asker.said(name, log)
-    assert not asker.kept
-
-
-def test_a_name_is_not_looked_for_on_this_machine(
-    asker: Asker, log: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "there.run").mkdir()  # where it is looked for, a folder is a bag
-    assert "no format that is read" in asker.said("there.run", log)
     assert not asker.kept
 
 

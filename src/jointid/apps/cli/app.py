@@ -132,7 +132,10 @@ def _explain(error: BaseException) -> tuple[str, int]:
     if isinstance(error, CycloptsError):
         options = [name for one in getattr(error, "argument_collection", ()) for name in one.names]
         hint = "A key of the joint file is given by --set. " if "--set" in options else ""
-        return f"{error} {hint}See jointid --help.", USERS_MISTAKE
+        words, chain = error.unused_tokens or [""], " ".join(("jointid", *(error.command_chain or ())))
+        if chain == "jointid" and words[0].endswith(".toml"):
+            return f"No command is given; for this joint file, jointid identify {words[0]}.", USERS_MISTAKE
+        return f"{error} {hint}See {chain} --help.", USERS_MISTAKE
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename} cannot be used ({error.strerror}); name another file.", USERS_MISTAKE
     return (
@@ -151,16 +154,8 @@ def _finish(code: int) -> int:
     return _say(f"The answer could not be printed ({failures[0]}); print to another place.", code or USERS_MISTAKE)
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: object = None,
-    line: object = None,
-) -> None:
-    """Print a warning of a library for who looks for a fault of ours."""
-    del file, line
+def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
+    """Print a warning of a library, with --debug."""
     if console.details:
         tell(warnings.formatwarning(message, category, filename, lineno).rstrip())
 

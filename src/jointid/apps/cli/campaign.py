@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jointid.apps.cli.console import Flag, Quiet, listen, ready, show, show_result, spare
 from jointid.common.errors import MethodError
-
-if TYPE_CHECKING:
-    from jointid.campaigns.run import Engine
 
 
 def campaign(
@@ -28,9 +24,7 @@ def campaign(
 ) -> None:
     """Identify all that a campaign file names, and report drift, outliers and scatter.
 
-    Given again, it goes on where it was ended, and reports all.
-
-    Every result is kept as it comes, once; Ctrl-C, a kill or a full disk loses none of them.
+    Given again, it goes on where it was ended. Ctrl-C, a kill or a full disk loses no result.
 
     Args:
         file: the campaign file (TOML).
@@ -45,11 +39,16 @@ def campaign(
     """
     from jointid.campaigns.campaign import load_campaign
     from jointid.campaigns.report import CampaignReport
-    from jointid.campaigns.run import open_store, run_cases
+    from jointid.campaigns.run import dask_cluster, local_processes, open_store, run_cases
     from jointid.common.files import write_whole
     from jointid.output.report.sections import page
 
-    engine, kept = _engine(workers, dask), out or file.with_suffix(".jsonl")
+    if workers < 0:
+        raise MethodError(f"--workers is {workers}; expected a whole number, 0 or more: 0 is one for each core.")
+    if dask is not None and workers:
+        raise MethodError("--dask has its own workers; leave out --workers or --dask.")
+    engine = partial(local_processes, count=workers) if dask is None else partial(dask_cluster, address=dask)
+    kept = out or file.with_suffix(".jsonl")
     if not 0 < false_alarm < 1:
         raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
     listener = listen(quiet)
@@ -66,18 +65,3 @@ def campaign(
     show_result(found, details=details)
     if html is not None:
         write_whole(html, page(found.to_document(details=True, pictures=True)))
-
-
-def _engine(workers: int, dask: str | None) -> Engine:
-    """Return the engine that runs the cases.
-
-    Raises:
-        MethodError: what is asked for does not go together.
-    """
-    from jointid.campaigns.run import dask_cluster, local_processes
-
-    if workers < 0:
-        raise MethodError(f"--workers is {workers}; expected a whole number, 0 or more: 0 is one for each core.")
-    if dask is not None and workers:
-        raise MethodError("--dask has its own workers; leave out --workers or --dask.")
-    return partial(local_processes, count=workers) if dask is None else partial(dask_cluster, address=dask)

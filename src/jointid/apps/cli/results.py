@@ -64,7 +64,7 @@ def report(
     )  # fmt: skip
     tuned = None if no_tuning else tune_to_limit(found)
     if isinstance(tuned, str):
-        show(f"Without margins and gains: {tuned}")
+        stated = replace(stated, absent={**stated.absent, "tuning": tuned})
     else:
         stated = replace(stated, tuned=tuned)
     for one in (found, *checks):
@@ -85,10 +85,7 @@ def validate(
 ) -> None:
     """Test whether an estimate predicts a record.
 
-    Within the noise, and with a remedy if not.
-
-    That is the cross test, on another record than the one it came from; on its own, the direct test only says
-    what is left.
+    On another record than its own that is the cross test; on its own, the direct test, which only says what is left.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified
@@ -144,8 +141,7 @@ def export(
 
     What its language cannot represent is listed.
     The ending of the file says for which: .toml a joint file with the values filled in, .mat a linear state space for
-    MATLAB and SciPy, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator
-    of Isaac Lab. --format mjlab has no ending of its own.
+    MATLAB and SciPy, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator of Isaac Lab; mjlab needs --format.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]: without --estimate it is identified

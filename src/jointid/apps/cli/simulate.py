@@ -32,9 +32,8 @@ def design(
 ) -> None:
     """Plan the next test within the limits of the axis.
 
-    It is the one that tells most of the joint.
-    The joint, or the robot, is identified from the record. Tests that a drive can play are then searched for, of a
-    joint also at others of its interval. Ctrl-C ends the search and keeps the best test there is.
+    The joint, or the robot, is identified from the record. The most informative test that a drive can play is then
+    searched for, of a joint also at other values of its interval. Ctrl-C ends the search and keeps the best test.
 
     Args:
         joint: the joint file (TOML), whose method is didim; or a robot file, which has the table [robot]: the motion
@@ -55,6 +54,7 @@ def design(
     """
     from jointid import design as run
     from jointid import figures
+    from jointid.planning.predict import parse_goal
 
     figures.require_format(figure)
     outputs = [figure]
@@ -64,7 +64,8 @@ def design(
     spare((options.json, *outputs), motion)
     file = options.load(joint, *outputs, method="didim")
     if file.robot is None:
-        _require_goal(file, goal)
+        own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
+        parse_goal(goal, {p.name: file.joint.unit(p) for p in own if p.free})  # refused before the record is read
     asked: dict[str, Any] = {
         "goal": goal, "duration": duration, "search_time": search_time, "injection": injection, "within": within,
         "progress": options.progress, "limits": file.limits,
@@ -80,14 +81,6 @@ def design(
     if out is not None:
         paths = found.write(out)
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
-
-
-def _require_goal(file: File, goal: str) -> None:
-    """Raise a `MethodError` if no test can be planned for this goal, before the record is read."""
-    from jointid.planning.predict import parse_goal
-
-    own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
-    parse_goal(goal, {p.name: file.joint.unit(p) for p in own if p.free})
 
 
 def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:

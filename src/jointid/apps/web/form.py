@@ -30,7 +30,16 @@ LAW, LEARN = "controller.law", "learn"
 """The field of the controller's law, and its choice that the controller is to be learned."""
 
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
-_SHOWN = ("gain", "limit", "delay", "integral_gain", "integral_time", "derivative_gain")  # at once, of a controller
+_RATIO, _SIDE = "transmission.ratio", "record.channels.reference.side"
+_SHOWN = (
+    "gain",
+    "limit",
+    "period",
+    "delay",
+    "integral_gain",
+    "integral_time",
+    "derivative_gain",
+)  # at once, of a controller
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are shown at once
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
 _OF_READING = ("sample_time", "optional", "time")  # of a channel, in the further lines
@@ -61,7 +70,8 @@ class Field:
     @property
     def label(self) -> str:
         """Its key in words."""
-        return self.key.rpartition(".")[2].replace("_", " ").capitalize()
+        own = self.key.rpartition(".")[2].replace("_", " ").capitalize()
+        return "These positions are of the" if self.key == _SIDE else own
 
     @property
     def is_number(self) -> bool:
@@ -78,7 +88,7 @@ class Field:
                 return repr(float(text)).removesuffix(".0")
             except ValueError:  # a number with a unit is a text
                 pass
-        return _quote(text)
+        return json.dumps(text, ensure_ascii=False)
 
     def show(self, value: Any) -> str | None:
         """Return a value of a joint file as the field shows it; None where it cannot."""
@@ -110,7 +120,7 @@ def _make_field(key: FileKey) -> Field | None:
     if key.place.startswith("record.channels.") and last == "unit":
         words = tuple(chain.from_iterable(known_units(key.place.split(".")[2], kind) for kind in _KINDS))
     if words:
-        usual = "choose ..." if key.place == _KIND or last == "unit" else "as usual"
+        usual = "choose ..." if key.place in (_KIND, _SIDE) or last == "unit" else "as usual"
         return Field(key.place, one, {"": usual} | {str(word): str(word) for word in words})
     is_column = last == "column" or key.place == "record.time"
     return Field(key.place, one, is_column=is_column) if one.type in (int, float, str) else None
@@ -149,7 +159,10 @@ def channel_step(texts: Texts) -> Iterator[Section]:
     for name, fields in sorted(_CHANNELS.items(), key=lambda one: one[0] not in _ALWAYS):
         counts = texts.get(fields[0].key) or texts.get("drive.profile")
         title = name.replace("_", " ").capitalize()
-        yield Section(title, fields if counts else fields[:1], folded=name not in _ALWAYS, channel=True)
+        first = {f"record.channels.{name}.{one}" for one in ("column", "unit")}
+        first.add(_SIDE if name == "reference" and texts.get(_RATIO) else f"record.channels.{name}.gain")
+        shown = tuple(sorted(fields, key=lambda one: one.key not in first))
+        yield Section(title, shown if counts else shown[:1], folded=name not in _ALWAYS, channel=True)
     yield Section("A gear, a belt or a screw between motor and load", _find("transmission"), folded=True)
     drive = _find("joint.torque_constant", "drive")
     yield Section("The drive: its profile, ampere, % of the rated torque, encoder counts", drive, folded=True)
@@ -169,9 +182,19 @@ def joint_step(texts: Texts) -> Iterator[Section]:
     yield _FURTHER
 
 
-def _quote(text: str) -> str:
-    """Return a text as TOML."""
-    return json.dumps(text, ensure_ascii=False)
+def require_side(texts: Texts) -> None:
+    """Raise a `JointFileError` where a reference behind a gear is not said to be the motor's or the load's."""
+    if texts.get(_RATIO) and texts.get("record.channels.reference.column") and not texts.get(_SIDE):
+        asked = f"Behind a gear of {texts[_RATIO]}:1, are these positions the motor's or the load's? Choose one."
+        raise JointFileError(Fault(asked, tuple(_SIDE.split(".")), "missing"))
+
+
+def require_unit(texts: Texts) -> None:
+    """Raise a `JointFileError` where a velocity gain beside a torque constant has no unit."""
+    gain = texts.get("controller.velocity_gain", "")
+    if texts.get("joint.torque_constant") and re.fullmatch("[0-9.,]+", gain):
+        asked = f'Give its unit: "{gain} A s/rad" of a current, "{gain} N m s/rad" of a torque.'
+        raise JointFileError(Fault(asked, ("controller", "velocity_gain"), "unit"))
 
 
 def fields_of(texts: Texts) -> dict[str, Field]:
@@ -203,7 +226,7 @@ def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
         changes = [f"{one.key}={one.read(text)}" for one, text in given if (one.key, text) != (LAW, LEARN)]
         if "records" in tables:
             records = ()
-        changes += [f"record.file={_quote(name)}" for name in records if len(records) == 1]
+        changes += [f"record.file={json.dumps(name, ensure_ascii=False)}" for name in records if len(records) == 1]
         made = apply_changes(tables, changes)
     except JointFileError as error:
         raise JointFileError(Fault(one, (EXTRA,)) for one in error.faults) from None

@@ -198,7 +198,7 @@ async def take_record(request: Request) -> Response:
             columns, before = (one.json("_columns.json") for one in (fresh, page.now))
             same = columns["names"] == before.get("names") and not page.now.robot
             known = page.now.texts if same else {}
-            fresh.enter((known or form.show_tables({"drive": columns["drive"]})) | options)
+            fresh.enter((known or form.show_tables(columns["tables"])) | options)
     return page.redirect("/joint" if page.now.robot else "/channels")
 
 
@@ -214,6 +214,7 @@ async def make_example(request: Request) -> Response:
 async def check_channels(request: Request) -> Response:
     """Check step 2 by reading the record as it says, whatever is known of the controller and the method."""
     page, now = _page(request), await _save(request)
+    form.require_side(now.texts)
     async with page.files:
         texts = {key: text for key, text in now.texts.items() if not key.startswith("controller.")}
         await _load(now, texts, but=("controller", "method"))
@@ -224,6 +225,7 @@ async def check_channels(request: Request) -> Response:
 async def identify(request: Request) -> Response:
     """Check everything, and start the identification, in a folder of its own that holds all it takes."""
     page, now = _page(request), await _save(request)
+    form.require_unit(now.texts)
     learn = now.texts.get(form.LAW) == form.LEARN
     async with page.files:
         text = await _load(now, now.texts)

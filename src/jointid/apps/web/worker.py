@@ -8,6 +8,7 @@ ends when the page does, whose end it hears on its standard input.
 from __future__ import annotations
 
 import os
+import re
 import sys
 import threading
 from pathlib import Path
@@ -28,6 +29,12 @@ if TYPE_CHECKING:
 
 _DRAWN, _LISTED = 64, 2000  # columns that are drawn, and whose names are listed
 _STRETCHES, _LARGEST = 640, 1e300  # of a column that are drawn, and a number that is drawn
+_NAMES = {
+    "torque": "torque|moment|force|kraft|current|strom",
+    "reference": "(pos|lage|angle|winkel|^[xq]_).*(soll|set|ref|com|cmd)",
+    "motor_position": "(pos|lage|angle|winkel).*(ist|act|meas|mot)",
+}
+"""Words in the columns' names of a log whose drive is not known; one that alone has them is proposed."""
 
 
 def preview() -> None:
@@ -46,11 +53,15 @@ def preview() -> None:
         for k, channel in enumerate(found.channels[:_LISTED])
     ]
     names = [channel.name for channel in found.channels]
-    said: dict[str, Any] = {"columns": listed, "names": names, "count": len(names), "drive": {}, "sentence": ""}
+    proposed = {one: [name for name in names if re.search(words, name.lower())] for one, words in _NAMES.items()}
+    channels = {one: {"column": some[0]} for one, some in proposed.items() if len(some) == 1}
+    clock = {channel.time: {"time": channel.time} for channel in found.channels if channel.time}
+    tables: dict[str, Any] = {"record": {"channels": channels} | (clock.popitem()[1] if len(clock) == 1 else {})}
+    said: dict[str, Any] = {"columns": listed, "names": names, "count": len(names), "tables": tables, "sentence": ""}
     if found.recognised is not None:
         place = found.recognised.axes[0].place if len(found.recognised.axes) > 1 else {}
         drive = {"profile": found.recognised.profile.name} | {key: place[key] for key in place if key != "index"}
-        said |= {"drive": drive, "sentence": found.recognised.sentence}
+        said |= {"tables": {"drive": drive}, "sentence": found.recognised.sentence}
     draft.write_json("_columns.json", said)
 
 
@@ -69,9 +80,12 @@ def check() -> None:
     from jointid.config import load
 
     draft, file = Draft(Path.cwd()), load("_order.toml")
-    torque, *_ = [file.record(draft.path / name).torque for name in draft.records]
-    assert torque is not None
+    record, *_ = [file.record(draft.path / name) for name in draft.records]
+    torque, moved, gear = record.torque, record.reference or record.motor_position, file.joint.transmission
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
+    if moved is not None:
+        scale, unit = (180 / np.pi, "°") if moved.unit == "rad" else (1e3, " mm")
+        size["travel"] = f"{scale * np.ptp(moved.values):.4g}{unit} of the {'axis' if gear is None else gear.side}"
     draft.write_json("_checked.json", size)
 
 

@@ -56,9 +56,9 @@ class Cascade(DiagramController):
 
     gains: ClassVar = ("position_gain", "velocity_gain", "integral_gain")  # in this order, in every law
     nested: ClassVar = True  # the position gain acts on what goes into the velocity loop, not on the output
-    position_gain: float = field(metadata=declare("position gain", unit="1/s", at_least=0))
+    position_gain: float = field(metadata=declare("position gain, Kv of a drive", unit="1/s", at_least=0))
     velocity_gain: float = field(
-        metadata=declare("velocity gain", unit="controller units per m/s or rad/s", at_least=0)
+        metadata=declare("velocity gain, Kp of a drive", unit="controller units per m/s or rad/s", at_least=0)
     )
     integral_gain: float = field(
         default=0.0,

@@ -13,15 +13,16 @@ each is a body that can be, near its own.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.config.robot_model import parse_model, read_model, read_robot
+from jointid.config.robot_model import LARGEST, parse_model, read_robot
+from jointid.config.toml import read_text
 from jointid.models.robots.inertial import MassProperties, inertial_of, mass_properties, pseudo_inertia
 from jointid.output.export.bodies import Body, Model, format_xml, robot_bodies, triple
 from jointid.output.export.joint_model import identifier, number
@@ -36,7 +37,7 @@ _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 def urdf(
     source: Model,
     *,
-    model: str | os.PathLike[str] | None = None,
+    model: str | Path | None = None,
     locked: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[str, list[str]]:
     """Return a joint or a robot as URDF, which has no laws, and its losses.
@@ -53,7 +54,7 @@ def urdf(
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if model is not None:
-        root, more = _replace(read_model(model), bodies, locked)
+        root, more = _replace(read_text(Path(model), LARGEST), bodies, locked)
         return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n', [*lost, *more]
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
         lost.append("how the base stands, and gravity other than 9.81 m/s2: turn it where the model is used")

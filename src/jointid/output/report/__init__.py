@@ -18,6 +18,7 @@ from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import IN_WINDOWS, Estimate
 from jointid.estimation.result.fields import dumps, plain
+from jointid.estimation.result.verdict import Trust
 from jointid.models.controllers import Controller
 from jointid.output.figures import require_format
 from jointid.output.json import REPORT_SCHEMA, to_dict
@@ -184,6 +185,8 @@ def tune_to_limit(estimate: Estimate) -> Tuned | str | None:
     loop = estimate.settings.loop
     if loop is None or not math.isfinite(getattr(loop.controller, "limit", math.inf)):
         return None
+    if estimate.answer.trust.code == Trust.NOT_YET:
+        return "Margins and gains follow from values that are not to be relied on yet; correct what the result names."
     try:
         return tune(estimate)
     except (JointidError, LinAlgError) as error:  # a refused parameter, say: the report is written all the same

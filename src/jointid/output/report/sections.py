@@ -7,15 +7,21 @@ would still be nothing but text. The answer it carries for other programs is JSO
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+import re
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jointid import __version__
 from jointid.common.charts import svg
 from jointid.common.document import (
     Block,
     Code,
+    Document,
     Documented,
     Facts,
     Heading,
@@ -24,31 +30,21 @@ from jointid.common.document import (
     Picture,
     Table,
     Tone,
+    templates,
 )
 from jointid.common.errors import RecordError
+from jointid.common.files import digest, explain, write_folder
 from jointid.common.text import sentence
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Trust
 from jointid.output import figures as charts
 from jointid.output.axis_drawing import axis_figure, resonance_sentence
+from jointid.output.json import REPORT_ELEMENT
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jointid.output.report import Report
-
-
-import re
-import shlex
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from pathlib import Path
-
-from jointid import __version__
-from jointid.common.document import Document, templates
-from jointid.common.files import digest, explain, write_folder
-from jointid.output.json import REPORT_ELEMENT
 
 PAGES = (".html", ".htm")
 _FEW = 4  # headings: a shorter page needs no list of contents
@@ -201,7 +197,8 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     for name in [name for name in _PICTURES if name in figures and name != "torque"]:
         yield Heading(_PICTURES[name][0])
         yield _picture(given, figures, name)
-        yield from filter(None, (_beside(given, name),))
+        if name == "profiles":
+            yield Listing(tuple(map(str, given.profiles)))
     if given.absent:
         yield Heading("Not available")
         yield Listing(tuple(map(sentence, given.absent.values())))
@@ -268,11 +265,6 @@ def _result(given: Report) -> Iterator[Block]:
         yield Picture("axis.svg", lambda: svg(axis_figure(estimate), "axis"), "The axis, with 2 sigma", wide=False)
     else:
         yield Paragraph("All numbers are behind the gears.")
-
-
-def _beside(given: Report, name: str) -> Block | None:
-    """Return the numbers beside a picture; None where there are none."""
-    return Listing(tuple(map(str, given.profiles))) if name == "profiles" else None
 
 
 def _settings(given: Report) -> Iterator[Block]:

@@ -70,6 +70,7 @@ for (const zone of all("[data-drop]")) {
   const over = (on) => zone.classList.toggle("over", on);
   zone.addEventListener("dragover", (event) => { event.preventDefault(); over(true); });
   zone.addEventListener("dragleave", () => over(false));
+  zone.addEventListener("change", () => zone.closest("form").requestSubmit());
   zone.addEventListener("drop", (event) => {
     event.preventDefault();
     over(false);
