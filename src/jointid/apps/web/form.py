@@ -31,15 +31,7 @@ LAW, LEARN = "controller.law", "learn"
 
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
 _RATIO, _SIDE = "transmission.ratio", "record.channels.reference.side"
-_SHOWN = (
-    "gain",
-    "limit",
-    "period",
-    "delay",
-    "integral_gain",
-    "integral_time",
-    "derivative_gain",
-)  # at once, of a controller
+_SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # at once
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are shown at once
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
 _OF_READING = ("sample_time", "optional", "time")  # of a channel, in the further lines
