@@ -357,7 +357,8 @@ def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tu
 def _joint(model: Any, number: int) -> RobotJoint:
     name, dof = model.joint(number).name or f"joint{number + 1}", int(model.jnt_dofadr[number])
     numbers = (model.dof_armature, model.dof_damping, model.dof_frictionloss)
-    return RobotJoint(name, *(float(np.ravel(values[dof])[0]) for values in numbers))
+    armature, damping, loss = (float(np.ravel(values[dof])[0]) for values in numbers)
+    return RobotJoint(name, armature, damping, loss)
 
 
 def _body(model: Any, number: int) -> FloatArray:

@@ -82,7 +82,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
     # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
     atexit.register(gc.freeze)
     _prepare_outputs()
-    warnings.showwarning = _show_warning
+    warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         if signals:
             signal.signal(signal.SIGINT, signal.default_int_handler)
