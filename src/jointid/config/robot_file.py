@@ -125,10 +125,10 @@ def _build_axis(own: Values, number: int, robot: Robot, method: str, given: Mapp
 def _fill_placeholders(column: Column, name: str, number: int) -> Column:
     """Return a column with the placeholders of its names replaced by name and number."""
 
-    def filled(text: str) -> str:
+    def fill(text: str) -> str:
         return text.replace("{joint}", name).replace("{axis}", f"{number + 1}").replace("{index}", f"{number}")
 
-    return replace(column, column=filled(column.column), time=None if column.time is None else filled(column.time))
+    return replace(column, column=fill(column.column), time=None if column.time is None else fill(column.time))
 
 
 def _build_joint(own: Values, axis: Axis, joint: RobotJoint) -> RobotJoint:

@@ -94,7 +94,7 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
 def read_robot(
     text: str, called: str = "the robot's model", locked: Mapping[str, float] = MappingProxyType({})
 ) -> tuple[Robot, Mapping[str, Carried]]:
-    """Return the robot of a URDF or MJCF text, and by the name of each moving joint the bodies that it carries rigidly.
+    """Return the robot of a URDF or MJCF text, and the bodies that each moving joint carries, by the joint's name.
 
     Args:
         text: XML.
@@ -251,7 +251,7 @@ def _is_possible(inertial: ET.Element) -> bool:
 
 
 def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> None:
-    """Refuse joints that move and are tied or have a spring, and locked ones that are not there.
+    """Refuse moving joints that are tied or have a spring, and locked joints that do not exist.
 
     Args:
         root: of the file.

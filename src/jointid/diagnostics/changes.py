@@ -231,10 +231,11 @@ def _swap_channels(case: Case) -> Iterator[Case]:
 
 
 def _try_sample_times(case: Case) -> Iterator[Case]:
-    if getattr(case.controller, "period", None) is not None:
-        return  # a controller with a period of its own contradicts a wrong sample time before anything is simulated
     assert case.filtering.cutoff is not None and case.filtering.position_cutoff is not None
+    own = getattr(case.controller, "period", None)  # of which a whole number passes from sample to sample
     for factor in _TIMES:
+        if own is not None and abs(math.remainder(factor * case.torque.sample_time, own)) > _NO_TIME:
+            continue
         channels = {n: replace(c, sample_time=factor * c.sample_time) for n, c in case.record.items()}
         cutoffs = {name: getattr(case.filtering, name) / factor for name in ("cutoff", "position_cutoff")}
         record, filtering = case.record.with_channels(channels), replace(case.filtering, **cutoffs)

@@ -27,10 +27,7 @@ if TYPE_CHECKING:
     from jointid.estimation.saved import System
     from jointid.simulation.simulate import Simulation
 
-__all__ = [
-    "dumps", "load_estimate", "plain", "read_choices", "read_report", "simulation_answer", "to_dict",
-    "write",
-]  # fmt: skip
+__all__ = ["dumps", "load_estimate", "plain", "read_choices", "read_report", "simulation_answer", "to_dict", "write"]
 
 Json: TypeAlias = dict[str, Any]
 
@@ -87,7 +84,7 @@ def simulation_answer(simulation: Simulation, record: str, values: Mapping[str, 
 
 
 @contextlib.contextmanager
-def _undamaged(path: str | os.PathLike[str]) -> Iterator[None]:
+def _refuse_damage(path: str | os.PathLike[str]) -> Iterator[None]:
     """Refuse a document with a missing part or one of another type."""
     try:
         yield
@@ -129,7 +126,7 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
 
     model, answer = system.setup if isinstance(system, File) else system, read_report(path)
     try:
-        with _undamaged(path):
+        with _refuse_damage(path):
             if isinstance(model, RobotSystem):
                 return restore_estimate(answer, model)
             joint, loop = (model, None) if isinstance(model, Joint) else (model.joint, model)
@@ -158,7 +155,7 @@ def read_choices(path: str | Path) -> dict[str, str]:
         RecordError: the file is no estimate.
     """
     answer = read_report(path)
-    with _undamaged(path):
+    with _refuse_damage(path):
         settings = answer["settings"]
         if "joints" in settings["system"]:
             return {"method": {name: name for name in METHODS}[settings["method"]]}

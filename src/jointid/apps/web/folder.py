@@ -45,7 +45,7 @@ class Draft:
 
     @property
     def robot(self) -> bool:
-        """Whether it is of a robot, whose model is there."""
+        """True for a robot, whose model is among the files."""
         return any(name.lower().endswith(MODELS) for name in self.files)
 
     @property

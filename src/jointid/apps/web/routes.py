@@ -236,7 +236,7 @@ async def identify(request: Request) -> Response:
 
 
 async def _load(now: Draft, texts: form.Texts, but: tuple[str, ...] = ()) -> str:
-    """Check what the forms say but for a robot, whose model is read in a process of its own; return it as TOML."""
+    """Return the forms as TOML, checked as a joint file; the model of a robot is read in another process."""
     made = form.make_tables(texts, [] if now.robot else now.records)
     text, place = dumps({name: one for name, one in made.items() if name not in but}), now.path / "_order.toml"
     write_whole(place, text)

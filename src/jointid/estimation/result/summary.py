@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Facts, Heading, Listing, Table, Verdicts, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.result.agreement import Alone
-from jointid.estimation.result.verdict import moved_by_loop, told_bounds
+from jointid.estimation.result.verdict import Subject, moved_by_loop, told_bounds
 from jointid.models.robots.robot import Robot
 from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import INTERVAL
@@ -34,7 +34,7 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
     Args:
         estimate: of one record, of several, of a long log, or of a robot.
         details: whether to show every answer with all its statements, effort and settings; else only the questions that
-            did not pass, a line each.
+            did not pass and can be acted on, a line each, that on the loop first.
     """
     listed = list[tuple[str, bool | None, tuple[str, ...]]]()
     for name, found in groupby(estimate.checks, key=lambda check: check.name):
@@ -42,11 +42,11 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
         brief = first.brief + f" (and {len(others)} more in the report)" * bool(others)
         listed.append((str(name), first.passed, tuple(one.words for one in (first, *others)) if details else (brief,)))
     passed = [good for _, good, _ in listed]
-    listed = [row for row in listed if details or not row[1]]
+    listed = [row for row in listed if details or not (row[1] or row[0] == Subject.WHITENESS)]
     notes = [] if passed and not details else [("note", note) for note in estimate.notes]
     blocks = (
         *_tables(estimate, details=details),
-        *([Verdicts(tuple(listed))] if listed else []),
+        *([Verdicts(tuple(sorted(listed, key=lambda row: row[0] != Subject.LOOP)))] if listed else []),
         Facts((*(("warning", warning) for warning in estimate.warnings), *notes)),
         Facts(tuple(_facts(estimate, passed, details=details))),
     )

@@ -1,4 +1,4 @@
-"""A joint's estimate as every export writes it, on either side of its transmission, and what is lost of it.
+"""Estimate of a joint for the exports, on either side of its transmission, and what each language loses.
 
 A controller becomes the law of a simulator's actuator: ``tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff``.
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from numpy.linalg import LinAlgError
+
 from jointid import Record
 from jointid.common.document import Document
 from jointid.common.errors import JointidError, MethodError
@@ -154,8 +156,7 @@ class Report:
 
     def to_document(self) -> Document:
         """Return the page as a document, with the JSON that it carries along."""
-        blocks = report_blocks(self, self.figures)
-        return Document(self.title, tuple(blocks), self.answer())
+        return Document(self.title, tuple(report_blocks(self, self.figures)), self.answer())
 
     def html(self) -> str:
         """Return one self-contained HTML page."""
@@ -178,8 +179,6 @@ class Report:
 
 def tune_to_limit(estimate: Estimate) -> Tuned | str | None:
     """Return margins and gains of a loop whose limit is declared; why there are none, or None where none is asked."""
-    from numpy.linalg import LinAlgError
-
     from jointid import tune
 
     loop = estimate.settings.loop

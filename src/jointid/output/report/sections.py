@@ -7,6 +7,7 @@ would still be nothing but text. The answer it carries for other programs is JSO
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -34,9 +35,12 @@ from jointid.common.document import (
 )
 from jointid.common.errors import RecordError
 from jointid.common.files import digest, explain, write_folder
-from jointid.common.text import sentence
+from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import number, sentence
+from jointid.diagnostics.suspects import name_number
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Trust
+from jointid.models.controllers import numbers_of, unit_of_number
 from jointid.output import figures as charts
 from jointid.output.axis_drawing import axis_figure, resonance_sentence
 from jointid.output.json import REPORT_ELEMENT
@@ -44,6 +48,7 @@ from jointid.output.json import REPORT_ELEMENT
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from jointid.models.joints import ClosedLoop
     from jointid.output.report import Report
 
 PAGES = (".html", ".htm")
@@ -177,15 +182,15 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     yield from _result(given)
     yield Heading("Parameters")
     yield from _part(estimate)
+    if tuned is not None:
+        yield Heading("Tuning")
+        yield Paragraph(tuned.sentence)
+        yield from tuned.proposal()
     yield Heading("Torque")
     yield _picture(given, figures, "torque")
     for check in given.checks:
         yield Heading(f"Prediction of {check.record}")
         yield from _part(check)
-    if tuned is not None:
-        yield Heading("Tuning")
-        yield Paragraph(tuned.sentence)
-        yield from tuned.proposal()
     yield Heading("Appendix")
     yield Paragraph("What stands behind that: every check, picture and setting, and how to repeat it.")
     yield Heading("The estimate in full")
@@ -252,19 +257,25 @@ def _result(given: Report) -> Iterator[Block]:
     yield Paragraph(str(estimate.answer), tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
     if given.diagnosis is not None:
         yield Paragraph(given.diagnosis.sentence)
-    for check in given.checks:
-        yield Paragraph(check.sentence)
+    yield from (Paragraph(check.sentence) for check in given.checks)
     if not given.checks:
-        yield Paragraph(
-            "It was not held against a record that it has not seen, so nothing says yet that it predicts another "
-            "motion: --held-out RECORD does it."
-        )
+        yield Paragraph("Whether it predicts another motion is not known yet: --held-out RECORD tests it.")
     if estimate.robot is None:
         if resonances := resonance_sentence(estimate):
             yield Paragraph(resonances)
         yield Picture("axis.svg", lambda: svg(axis_figure(estimate), "axis"), "The axis, with 2 sigma", wide=False)
+        if estimate.settings.loop is not None:
+            yield Facts((("Controller as declared", _describe_controller(estimate.settings.loop)),))
     else:
         yield Paragraph("All numbers are behind the gears.")
+
+
+def _describe_controller(loop: ClosedLoop) -> str:
+    """Return the numbers of the declared controller with their units."""
+    law, position = loop.controller, POSITION_UNIT[loop.joint.kind]
+    stated = {name: value for name, value in numbers_of(law).items() if 0.0 < abs(value) < math.inf}
+    units = {name: unit_of_number(law, name, position, loop.joint.force_unit) for name in stated}
+    return ", ".join(f"{name_number(name)} {number(stated[name], 3)} {units[name]}".rstrip() for name in stated)
 
 
 def _settings(given: Report) -> Iterator[Block]:
@@ -291,17 +302,10 @@ def _settings(given: Report) -> Iterator[Block]:
 
 def _channels_table(estimate: Estimate, given: Report) -> Table:
     """Return the channels of the record, and which of them were read."""
-    rows = tuple(
-        (
-            name.replace("_", " "),
-            "read" if name in estimate.data.channels else "not read",
-            channel.source or "-",
-            channel.timing.value,
-            channel.unit,
-            f"{channel.sample_time:.6g}",
-            str(len(channel)),
-        )
-        for name, channel in given.channels.items()
-    )
+    rows = list[tuple[str, ...]]()
+    for name, one in given.channels.items():
+        read = "read" if name in estimate.data.channels else "not read"
+        size = f"{one.sample_time:.6g}", str(len(one))
+        rows.append((name.replace("_", " "), read, one.source or "-", one.timing.value, one.unit, *size))
     header = ("channel", "in this answer", "source", "timing", "unit", "sample time [s]", "samples")
-    return Table(header, rows, "The record's channels, in SI units", words=(0, 1, 2, 3, 4))
+    return Table(header, tuple(rows), "The record's channels, in SI units", words=(0, 1, 2, 3, 4))
