@@ -17,6 +17,7 @@ from jointid.diagnostics.model_free import (
 )
 from jointid.estimation.result.verdict import Reason
 from jointid.records.record import Channel, Record
+from studies.healthy import drive
 from studies.mechanics import lose
 
 T = 1e-3
@@ -131,6 +132,13 @@ def test_a_new_zero_and_steps_that_a_drive_makes_smooth_are_named(edit: Any, cau
         whole = ji.simulated_record(LOOP, reference, TRUTH, sample_time=1e-3)
         found = find_plain_cause(whole if edit is None else edit(whole))
         assert (None if found is None else found.values["causes"][0]["cause"]) == cause
+        if edit is zeroed:  # IDIM simulates no loop
+            assert "a new zero was set there" in " ".join(ji.identify(zeroed(whole), LOOP.joint).warnings)
+
+
+def test_a_motion_one_way_is_not_relied_on_beside_an_injected_signal_that_does_not_turn_it() -> None:
+    axis = drive(9128, 4.0, "white force")
+    assert Reason.RECORD_TOO_SHORT in [one.code for one in ji.identify(axis.record, axis.loop).checks]
 
 
 @pytest.mark.parametrize("steps", [0.4, 6])  # of an encoder: the friction holds it, or hardly lets it go

@@ -33,6 +33,8 @@ from jointid.records.signals.filtering import find_noise_limit, lowpass_below_no
 from jointid.simulation.simulate import Simulation
 from jointid.uncertainty.model_tests import Whiteness, whiteness
 
+_LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
+_SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
 _TURN = 1e-4  # rad or m: step of a derivative
 _OF_ROBOT = 0.5  # of a change: less shows that a robot's drive runs no such law
 _ROTORS = (0.0, 0.25, 0.5, 0.75)  # shares of a joint's own inertia that its rotor may have
@@ -86,11 +88,12 @@ class AxisTorques:
         ends = np.cumsum([0, *np.sum(self.seen, axis=1)]).tolist()
         return [slice(*pair) for pair in itertools.pairwise(ends)]
 
-    def judge(self, axis: int) -> tuple[float, Whiteness | None]:
-        """Return the share of an axis' torque that is left, and its whiteness; None where the record is too short."""
+    def judge(self, axis: int, rest: FloatArray | None = None) -> tuple[float, Whiteness | None]:
+        """Return the share of an axis' torque that the error leaves, or a `rest` of `stack`, and its whiteness."""
         whole = float(np.linalg.norm(self.measured[axis])) or 1.0
-        white = whiteness(self.error[axis][self.seen[axis]], self.sample_time, self.cutoff)
-        return float(np.linalg.norm(self.error[axis])) / whole, white
+        left = self.error[axis] if rest is None else self.sigma[axis] * rest
+        white = whiteness(left[self.seen[axis]] if rest is None else left, self.sample_time, self.cutoff)
+        return float(np.linalg.norm(left)) / whole, white
 
     def stack(self, each: FloatArray) -> FloatArray:
         """Return values of all axes, (n, rows, ...), in the compared rows, scaled by the sizes of the errors."""
@@ -112,6 +115,11 @@ class AxisTorques:
         everywhere = np.zeros_like(self.error)
         everywhere[axis if column.ndim == 1 else slice(None)] = column
         return self.stack(everywhere)
+
+
+def is_noise(left: float, white: Whiteness | None) -> bool:
+    """Test whether what is left, a share of a torque, is small, or nothing but noise as far as is seen."""
+    return left < _LEFT or white is None or white.white or white.p_value > _SURE
 
 
 def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:

@@ -221,10 +221,6 @@ def _try_feedforward(case: Case) -> Iterator[Case]:
         yield case.under(replace(law, reference_velocity=read))
 
 
-def _invert_torque(case: Case) -> Iterator[Case]:
-    yield case.logging(torque=-case.torque.values)
-
-
 def _swap_channels(case: Case) -> Iterator[Case]:
     if len(case.torque) == len(case.reference):
         yield case.logging(torque=case.reference.values, reference=case.torque.values)
@@ -298,11 +294,6 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
             yield from causes
 
 
-def _say_sign(*_: object) -> Iterator[Cause]:
-    for name in ("torque", "reference"):
-        yield Cause(f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)")
-
-
 def _say_sample_time(value: float | None, _: Case) -> Iterator[Cause]:
     assert value is not None
     said = f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}"
@@ -325,20 +316,16 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iter
     yield Cause(name, clause.format(name=f"the {name_number(name)}", **numbers), value)
 
 
-def _run(law: OtherLaw, case: Case) -> Iterator[Case]:
-    yield case.under(law.controller)
-
-
-def _say_law(law: OtherLaw, *_: object) -> Iterator[Cause]:
-    yield Cause(law.fault.name, f"{law.words}: declare {law.remedy}", 1 / law.rate if law.rate else None)
-
-
 def _row(name: str, correct: Callable[[Case], Iterable[Case]], clause: str = _IS_ABOUT) -> Change:
     return Change(name, correct, partial(_say_number, name, clause))
 
 
+_SIGNS = [
+    Cause(f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)")
+    for name in ("torque", "reference")
+]
 CHANGES = (
-    Change("torque_sign", _invert_torque, _say_sign),
+    Change("torque_sign", lambda case: [case.logging(torque=-case.torque.values)], lambda *_: _SIGNS),
     _row("swapped_channels", _swap_channels, "torque and reference are swapped"),
     Change("sample_time", _try_sample_times, _say_sample_time),
     Change("torque_scale", _try_torque_scales, partial(_say_factor, True)),
@@ -400,7 +387,10 @@ def list_changes(case: Case) -> Iterator[Change]:
     yield from CHANGES
     for laws in list_variants(case.controller, case.record, case.torque.sample_time, case.period):
         for law in (one for one in laws if one.fault is PERIOD or one.fault.name in WHOLE):
-            yield Change(law.fault.name, partial(_run, law), partial(_say_law, law))
+            said = Cause(law.fault.name, f"{law.words}: declare {law.remedy}", 1 / law.rate if law.rate else None)
+            yield Change(
+                said.name, partial(lambda law, case: [case.under(law.controller)], law), lambda *_, said=said: [said]
+            )
 
 
 def list_variants(law: Any, record: Record, log: float, period: float) -> Iterator[tuple[OtherLaw, ...]]:

@@ -19,7 +19,7 @@ from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
 from jointid.common.text import join, sentence
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.axis_torques import AxisTorques, torques_of_loop, torques_of_robot
+from jointid.diagnostics.axis_torques import AxisTorques, is_noise, torques_of_loop, torques_of_robot
 from jointid.diagnostics.changes import OTHER_LAWS, Cause
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
@@ -39,9 +39,6 @@ from jointid.simulation.controller_torque import SOURCE
 from jointid.uncertainty.model_tests import Whiteness
 from jointid.uncertainty.position_dependent_error import cells, repeatable
 
-_LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
-_SURE = 0.001  # of white noise that is taken for coloured: rare in all axes of a robot together
-_NEARLY_ALL = 0.8  # of the squares of all axes that are not explained
 JOINT_DIFFERS = "joint_differs"
 """The symptom of a joint whose torque the model does not explain."""
 _VAGUE = (Agreement.DIFFERS, JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
@@ -97,9 +94,7 @@ class AxisDiagnosis:
     @property
     def explained(self) -> bool:
         """True if what is left is small, or nothing but noise as far as is seen."""
-        if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
-            return True
-        return self.whiteness.p_value > _SURE or (self.repeats is False and not self.faults.findings)
+        return is_noise(self.left, self.whiteness) or (self.repeats is False and not self.faults.findings)
 
     @property
     def law_holds(self) -> bool | None:
@@ -271,7 +266,7 @@ def diagnose_robot(
     laws = in_threads(follow, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
     try:
-        faults, explained = search_axes(torques, units)
+        faults = search_axes(torques, units)
     except np.linalg.LinAlgError:
         said = "What is left of this record cannot be tested, as where an axis stands still: let every axis move."
         raise MethodError(said) from None
@@ -284,14 +279,11 @@ def diagnose_robot(
             seen = repeatable(torques.error[k][inside], where)
             repeats = seen.significant if seen.p_value is not None else None  # too little was visited twice
         axes.append(AxisDiagnosis(robot.names[k], *torques.judge(k), law, found, repeats, signal=estimate.signal))
-    large = sum(one.left >= _LEFT or (one.whiteness is not None and one.whiteness.p_value <= _SURE) for one in axes)
     cause = find_copied_reference(robot, records)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
-    if cause is None and method == "idim" and large:
+    if cause is None and method == "idim" and not all(one.whiteness and one.whiteness.white for one in axes):
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
-    # What acts all the time explains a part of it only where it explains nearly everything.
-    local = any(one.part is not None for one in faults)
-    if cause is not None and len(robot) - cause.left > (max(explained, _NEARLY_ALL * large) if local else explained):
+    if cause is not None:
         return Diagnosis(robot.name, method, tuple(map(_wait_for_cause, axes)), torques, cause)
     return Diagnosis(robot.name, method, tuple(axes), torques)
 

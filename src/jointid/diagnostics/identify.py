@@ -158,7 +158,8 @@ def identify(
         progress(said)
         fit, checked = fit.warn(said), fit.window or fit
     if fit.robot is None and (not checked.records or checked.problem is None):
-        return assemble(fit)
+        broken = find_broken_part(checked.records[0]) if len(checked.records) == 1 else None
+        return assemble(fit if broken is None else fit.warn(broken.words))
     if not checks:
         return assemble(fit, *_left_out("not checked: the checks were left out"))
     if unchecked is not None:
@@ -225,6 +226,9 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     of_joint = all(fault.of_model for one in named for fault in (one.test.fault, *one.test.alike))
     if of_joint and law is not None and law.agreement.code in (Agreement.DIFFERS, Agreement.SCALED):
         loop = _fail(law.agreement, *(one for one in loop if one.passed is False))
+    if record.injected is not None and record.reference is not None:  # it moves the joint, too
+        path = replace(record.reference, values=problem.simulate(x).motor_position, sample_time=problem.sample_time)
+        record = replace(record, reference=path, injected=None)
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
         loop = _fail(short)
     return loop, () if found is None else _widen(fit, found), found

@@ -29,7 +29,7 @@ from jointid.records.signals.filtering import Filtering, lowpass
 
 _INSTANTS = 200
 _RANK = 1e-12  # of the normal matrix, whose columns have length 1
-_LEAST = 0.5  # of the squares of one joint's residual: what a cause explains at least
+_LEAVES = 0.15  # of the squares of all errors beyond that of the best joint: what leaves more is not the cause
 _SIMPLER = 1.25  # times: so much more may be left by a cause with one free number less
 _BEST = 4  # causes whose numbers are searched, beside those of vectors, whose start is nothing or a rough direction
 _STEPS = 8  # of a descent
@@ -99,13 +99,13 @@ _Fitted: TypeAlias = tuple[float, FloatArray, _Change]
 
 
 def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> Cause | None:
-    """Return the cause that explains most of the residual of IDIM of rigid joints; None where none explains enough."""
+    """Return the cause that explains most of the residual of IDIM of rigid joints; None where it leaves too much."""
     from scipy.optimize import least_squares
 
     if len(robot) < _TWO:
         return None
     declared = _thin(robot, records, filtering)
-    error = _solver(declared)
+    error, sizes = _solver(declared)
 
     def fit(change: _Change, x: FloatArray) -> _Fitted:
         return float(np.sum(error(change.correct(x)) ** 2)), x, change
@@ -132,7 +132,9 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
     found = [one for one in ends if not one[1].size]
     found += [descend(*one) for place, one in enumerate(free) if place < _BEST or one[1].size > 1]
     squares, x, change = min(found, key=cost)
-    if len(robot) - squares < _LEAST:
+    left = np.sum(error(change.correct(x)).reshape(len(robot), -1) ** 2, axis=1)
+    wrong, still = (np.sum(np.maximum(sizes**2 * one - np.min(sizes) ** 2, 0.0)) for one in (1.0, left))
+    if not still <= _LEAVES * wrong > 0.0:
         return None
     value, joints = _value(change.name, robot, x), tuple(robot.names[k] for k in change.joints)
     said = joints or robot.names
@@ -169,8 +171,8 @@ def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Cas
     return _Case(robot, moved, torque[rows], moving)
 
 
-def _solver(declared: _Case) -> Callable[[_Case], FloatArray]:
-    """Return the function of the residual of a case, joint after joint, in units of that of the declared case."""
+def _solver(declared: _Case) -> tuple[Callable[[_Case], FloatArray], FloatArray]:
+    """Return the residual of a case, joint after joint, in units of that as declared, and these units, (n,) shares."""
     # Of any gravity and coupling: some of these columns are sums of others then.
     n, any_way = len(declared.robot), np.array([3.0, 5.0, -7.0])
     parameters = robot_parameters(replace(declared.robot.rigid, gravity=any_way), whole=False)
@@ -189,7 +191,7 @@ def _solver(declared: _Case) -> Callable[[_Case], FloatArray]:
 
     for _ in range(3):
         sizes *= np.maximum(np.linalg.norm(error(declared).reshape(n, -1), axis=1), 1e-6)
-    return error
+    return error, sizes
 
 
 # The rows

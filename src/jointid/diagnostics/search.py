@@ -32,7 +32,7 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
-from jointid.diagnostics.axis_torques import AxisTorques
+from jointid.diagnostics.axis_torques import AxisTorques, is_noise
 from jointid.diagnostics.changes import (
     AVERAGED,
     INTERPOLATIONS,
@@ -75,6 +75,7 @@ _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected, or under another law: far below a deviation
 _FEWEST = 4  # rows to a column, of each fault one
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
+_LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not the cause
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 
@@ -83,6 +84,7 @@ _FEWEST_ROWS = 4  # rows of a block
 _SHORTEST = 2  # blocks of a part
 _TIMES = 25.0  # as much as elsewhere: on healthy drives it is about 3, with a known fault that is not all taken off 20
 _MOST_OF_IT = 0.5  # of the blocks of a part
+_KNOWN = 0.5  # of the largest singular value: what of the parameters the rest of the time knows about as well
 
 # Of a joint
 
@@ -346,8 +348,8 @@ def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]
 # Of a robot
 
 
-def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple[tuple[AxisFaults, ...], float]:
-    """Return the faults of each axis, and the share of the squares of a residual that they explain, summed up.
+def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple[AxisFaults, ...]:
+    """Return the faults of each axis.
 
     Args:
         torques: of all axes, with the columns of their free parameters.
@@ -392,55 +394,61 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
         rest = residual - basis @ (basis.T @ residual)
         kin = {test.name, test.fault.kin} - {""}
         shapes = [one for one in shapes if one.axis != test.axis or not kin & {one.fault.name, one.fault.kin}]
-    parts = [find_part(rest[one], torques.time[seen]) for one, seen in zip(rows, torques.seen, strict=True)]
-    faults = tuple(
+    time = np.concatenate([torques.time[seen] for seen in torques.seen])
+    parts = [find_part(rest, basis, time, one) for one in rows]
+
+    def explained(k: int) -> float | None:
+        begin, end = (float(np.sum(one[rows[k]] ** 2)) for one in (before, rest))
+        vague = found[k] and end > _LEAVES * begin and not is_noise(1.0, torques.judge(k, rest[rows[k]])[1])
+        return 1.0 - end / begin if vague and not any(parts) else None
+
+    return tuple(
         AxisFaults(
             () if any(parts) else tuple(found[k]), tuple(one for one in first if one.axis == k),
-            {"position": position, "torque": torque}, part=parts[k],
+            {"position": position, "torque": torque}, part=parts[k], explained=explained(k),
         )
         for k, (position, torque) in enumerate(units)
     )  # fmt: skip
-    return faults, explained_share(before, rest, rows)
-
-
-def explained_share(before: FloatArray, after: FloatArray, rows: Sequence[slice]) -> float:
-    """Return by how much the squares of each axis' residual fell, as a sum of their shares, none below 0."""
-    squares = np.array([[np.sum(each[one] ** 2) for one in rows] for each in (before, after)])
-    begin, end = squares[:, squares[0] > 0.0]
-    return float(np.sum(np.maximum(1.0 - end / begin, 0.0)))
 
 
 # In time
 
 
-def find_part(residual: FloatArray, time: FloatArray) -> Message | None:
-    """Return the part of the time in which a residual is concentrated, or None.
+def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: slice = slice(None)) -> Message | None:
+    """Return the part of the time in which the residual of an axis is concentrated, or None.
 
     A contact, a hand on the arm or a drive that is off acts for a part of the record. No number of the joint, the loop
     or the log explains it, and each that is fitted to it is wrong. A run of blocks is a finding where its mean square
     and that of most of its blocks are far above that of the rest. A run at the beginning is none: a wrong model of the
-    first motion is seen there.
+    first motion is seen there. The fit follows the part, and so errs elsewhere: it is made again without the part.
 
     Args:
-        residual: (rows,) in the order of time.
-        time: (rows,) of them, s.
+        residual: (rows,) of all axes, each in the order of time.
+        basis: (rows, columns) orthonormal, of the columns of all parameters.
+        time: (rows,) s.
+        rows: of the axis.
     """
-    size = residual.size // _BLOCKS
-    if size < _FEWEST_ROWS or not np.any(residual):
+    own = time[rows]
+    size = own.size // _BLOCKS
+    if size < _FEWEST_ROWS or not np.any(residual[rows]):
         return None
-    squares = np.sum(residual[: size * _BLOCKS].reshape(_BLOCKS, size) ** 2, axis=1)
-    ends = np.concatenate([[0.0], np.cumsum(squares)])
     begin, end = np.triu_indices(_BLOCKS + 1, _SHORTEST)
     inside = (end - begin <= _BLOCKS // 2) & (begin > 1)
     begin, end = begin[inside], end[inside]
-    within, count = ends[end] - ends[begin], end - begin
-    rest = (ends[-1] - within) / (_BLOCKS - count)
-    best = int(np.argmax((within - count * rest) / np.sqrt(count)))
-    first, last, least = int(begin[best]), int(end[best]), _TIMES * float(rest[best])
-    part = squares[first:last]
+    outside = np.ones(time.size, dtype=np.bool_)
+    for _ in range(2):
+        residual = residual - basis @ np.linalg.lstsq(basis[outside], residual[outside], rcond=_KNOWN)[0]
+        squares = np.sum(residual[rows][: size * _BLOCKS].reshape(_BLOCKS, size) ** 2, axis=1)
+        ends = np.concatenate([[0.0], np.cumsum(squares)])
+        within, count = ends[end] - ends[begin], end - begin
+        rest = (ends[-1] - within) / (_BLOCKS - count)
+        best = int(np.argmax((within - count * rest) / np.sqrt(count)))
+        first, last = int(begin[best]), int(end[best])
+        outside = (time < own[first * size]) | (time > own[last * size - 1])
+    part, least = squares[first:last], _TIMES * float(rest[best])
     if np.mean(part) < least or np.mean(part > least) <= _MOST_OF_IT:
         return None
-    begins, stops, share = float(time[first * size]), float(time[last * size - 1]), float(within[best] / ends[-1])
+    begins, stops, share = float(own[first * size]), float(own[last * size - 1]), float(within[best] / ends[-1])
     clause = f"from {number(begins, 3)} to {number(stops, 3)} s the torque does not follow the model"
     words = (
         f"{clause}: {number(100 * share, 2)} % of the squares of the residual are there, and no known fault explains "
@@ -452,5 +460,6 @@ def find_part(residual: FloatArray, time: FloatArray) -> Message | None:
 
 def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Message | None:
     """Return the part of the time in which a joint does not follow its solved problem, or None."""
-    residual = problem.residual(x)
-    return find_part(residual, np.linspace(0.0, problem.measured.size * problem.sample_time, residual.size))
+    residual, own = problem.linearise(x)
+    time = np.linspace(0.0, problem.measured.size * problem.sample_time, residual.size)
+    return find_part(residual, orthonormal_basis(own, _RANK), time)

@@ -232,8 +232,8 @@ class AxisFaults:
             loop or log that the motor position excludes: the joint has what looks like it; and another law that the
             record does not exclude, and that would shift a parameter out of its interval.
         part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
-        explained: share of the squares of the residual that the faults explain together, where so many were found that
-            none of them is likely to be the cause.
+        explained: share of the squares of the residual that the faults explain together, where they leave more than
+            noise, so that none of them is likely to be the cause; None where they explain it.
     """
 
     findings: tuple[Finding, ...]
@@ -255,8 +255,8 @@ class AxisFaults:
             return (self.part,)
         if self.explained is not None:
             clause = "something is wrong that is none of the known faults"
-            share, alike = number(100 * self.explained, 2), ", ".join(_call(one.test.fault) for one in self.findings)
-            words = f"{clause}: {alike} together explain {share} % of the squares of the residual"
+            share, alike = number(100 * self.explained, 2), " and ".join(_call(one.test.fault) for one in self.findings)
+            words = f"{clause}: of these, {alike} would explain {share} % of the squares of the residual"
             return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
         if self.findings:
             return tuple(map(self._describe, self.findings))
@@ -304,11 +304,6 @@ def _call(*faults: Fault) -> str:
 
 
 # What each adds to the torque of an axis
-
-
-def _late(seen: Seen) -> Columns:
-    if seen.loop is None:  # of a loop its derivative is exact
-        yield None, -np.gradient(seen.torque, seen.sample_time)
 
 
 def _push(seen: Seen) -> Columns:
@@ -486,11 +481,6 @@ def _over_time(seen: Seen) -> Columns:
         yield shape, seen.vary(still | falls, _LOST, friction=law)
 
 
-def _by_direction(seen: Seen) -> Columns:
-    if seen.loop is None:
-        yield None, seen.force(-np.abs(seen.velocity))
-
-
 def _other_spring(laws: Sequence[str], seen: Seen) -> Columns:
     """Yield springs of other laws for a flexible joint's linear one, at their starts."""
     joint: Any = seen.loop[0].joint if seen.loop else None
@@ -519,7 +509,10 @@ TORQUE_FILTER = Fault("torque_filter", "torque filter")
 _number = partial(Fault, declared=None)
 DELAY = _number("delay", "delay of the torque", measure="ms")
 REFERENCE_DELAY = _number("reference_delay", "reference delay", measure="ms")
-LOG_DELAY = _number("log_delay", "delay of the log behind its time stamps", _late, measure="ms")
+LOG_DELAY = _number(
+    "log_delay", "delay of the log behind its time stamps",  # of a loop its derivative is exact
+    lambda seen: [(None, -np.gradient(seen.torque, seen.sample_time))] if seen.loop is None else [], measure="ms",
+)  # fmt: skip
 LOG_GAIN = _number("log_gain", "size of the logged torque")
 OFFSET = Fault("offset", "constant force that is not declared", _push, measure="torque")
 LIMIT = Fault("limit", "undeclared limit of the controller's output", _limit, one_sided=True, measure="level")
@@ -563,7 +556,8 @@ _ROWS = (
         "changing_friction", "friction that changes over the record", _over_time, 'declare friction = "drifting"'
     ),
     _friction(
-        "asymmetric_friction", "friction that differs by direction", _by_direction,
+        "asymmetric_friction", "friction that differs by direction",
+        lambda seen: [(None, seen.force(-np.abs(seen.velocity)))] if seen.loop is None else [],
         'declare friction = "asymmetric"',
     ),
     _position(
