@@ -200,7 +200,7 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     record = fit.records[0]
     if (broken := find_broken_part(record)) is not None:
         return _fail(broken), (), None
-    causes = found = None
+    causes = found = part = None
     progress("checking loop and log")
     whole = all(p.value is not None for p in fit.rows)
     try:
@@ -218,8 +218,8 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
             causes = explain_misfit(assemble(fit), record, None if faults is None else faults.findings, progress)
     if causes is not None:
         return _fail(causes.message), (), found
-    if faults is not None and faults.part is not None:
-        return loop, (), found
+    if part is not None:
+        return _fail(part), (), found
     law = None if found is None else found.axes[0].law
     named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
