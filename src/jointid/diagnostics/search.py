@@ -370,8 +370,9 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
         if test.name in WHOLE:
             return abs(test.size - 1.0) < max(_SURELY * test.std, _NEARLY)
         apart = column - basis @ (basis.T @ column)
-        size, left = float(apart @ apart), float(np.sum(rest[rows[test.axis]] ** 2))
-        return size > ROUNDING * float(column @ column) and float(apart @ rest) ** 2 > _MUCH * left * size
+        size, before = float(apart @ apart), rest[rows[test.axis]]
+        after = before - float(apart @ rest) / (size or 1.0) * apart[rows[test.axis]]
+        return size > ROUNDING * float(column @ column) and bool(after @ after < (1.0 - _MUCH) * (before @ before))
 
     while shapes and np.any(residual):
         if residual.size <= _FEWEST * (own.shape[1] + len({(one.axis, one.fault) for one in shapes})):
@@ -462,4 +463,4 @@ def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Message | No
     """Return the part of the time in which a joint does not follow its solved problem, or None."""
     residual, own = problem.linearise(x)
     time = np.linspace(0.0, problem.measured.size * problem.sample_time, residual.size)
-    return find_part(residual, orthonormal_basis(own, _RANK), time)
+    return find_part(residual, orthonormal_basis(own, ROUNDING), time)
