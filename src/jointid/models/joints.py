@@ -88,9 +88,8 @@ class _JointBase:
 
     @property
     def straight(self) -> bool:
-        """True if all its laws are lines, so that its simulation is exact."""
-        varies = self.gravity is not None and self.gravity.varies
-        return all(law.linear for law in self.laws) and self.ripple is None and not varies
+        """True if all its laws are lines, or lines in pieces, so that its simulation is exact."""
+        return not self.stepped and not (self.gravity is not None and self.gravity.varies)
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM, *, spring_alone: bool = False) -> None:
         """Raise a `MethodError` if a law is not linear.

@@ -152,7 +152,8 @@ def _follow(
         own = of_limits.size
         of_law[j, : len(of_elements), :own, c], limits[j, :own, column] = of_elements, of_limits
     straight, (places, speeds, laws) = kept.path.straight, first
-    seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if straight else numbers.seeds(kept.plant, keys)
+    lines = straight and all(law.linear for law in numbers.joints[0].laws)
+    seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if lines else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 
     follow(

@@ -198,14 +198,18 @@ def integrate(
     The arguments are those of `kernels.engine.run`; straight is a joint whose laws are lines. Steps are those of the
     integrator in the longest part of a step of the clock; 0 lets each choose its length.
     """
-    from jointid.simulation.kernels import engine
+    from jointid.simulation.kernels import affine, engine
 
     axes, clock = loop.post.shape
     parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
     array, command = (room or Room()).array, np.zeros((axes, clock))  # never in a room: it may be an answer
     excess = array("excess", (axes, periods if keep else 0, elements))
     excess[:] = 0.0
-    followed, rates = clock * parts if keep and straight else 0, np.zeros((9 if straight else 0, 2, 5))
+    followed, modes = clock * parts if keep and straight else 0, 0
+    if straight:
+        bands, pieces = plant.masses.shape[1], 2 * plant.springs.shape[1] - 1
+        modes = affine.MODES * bands ** len(plant.masses) * pieces ** len(plant.pairs)
+    rates = np.zeros((modes, 2, affine.INPUTS))
     path = Path(straight, array("states", (followed, 4)), array("modes", (followed,), np.int16), rates)
     rows = (clock // 8 if straight else _MORE * clock * parts * max(steps, 1)) + _TAPED if keep else 0
     rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
@@ -276,7 +280,7 @@ def _motion_of_lines(run: Run, at: IntArray, masses: int) -> MassMotion:
     torque = np.where(source >= 0, run.command[0, held] + post[held], run.start.before[0])
     inputs = states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, 1.0
     sums = (sum(path.rates[modes, i, j] * x for j, x in enumerate(inputs)) for i in range(masses))
-    way = modes[:, np.newaxis] // np.array([3, 1])[:masses] % 3 - 1.0
+    way = modes[:, np.newaxis] // np.array([3, 1])[:masses] % 3 - 1.0  # of 9 modes each
     return MassMotion(states[:, ::2][:, :masses], states[:, 1::2][:, :masses], np.stack([*sums], axis=1), way)
 
 

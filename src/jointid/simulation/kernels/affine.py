@@ -1,9 +1,9 @@
-"""The affine maps of a joint whose laws are straight lines, how far it glides by them, and the derivatives, compiled.
+"""The affine maps of a joint whose laws are lines in pieces, how far it glides by them, and the derivatives, compiled.
 
-While no mass stops or comes loose such a joint is linear, and its torque is held over a part of a period. A part is
-then one affine map, exact to rounding; each sliding, sticking and direction mode of the two masses has its own. A map
-is applied where chords prove that nothing happens in between. `kernels.engine` goes through the other parts, about one
-in a thousand, step by step.
+While no mass stops or comes loose, and no law goes over an edge, such a joint is linear, and its torque is held over a
+part of a period. A part is then one affine map, exact to rounding. Each sliding, sticking and direction mode of the two
+masses, in each band of their speeds and piece of their spring, has its own. A map is applied where chords prove that
+nothing happens in between. `kernels.engine` goes through the other parts, about one in a thousand, step by step.
 
 The state is motor position, motor velocity, load position, load velocity; a rigid joint has a load that nothing pushes.
 Functions pass numbers and tuples rather than arrays: Numba counts references to an array at each call, with an atomic
@@ -13,7 +13,7 @@ operation as dear as thirty others.
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,20 +25,25 @@ from jointid.simulation.kernels import (
     COULOMB_BACK,
     DAMPING,
     FREE,
+    HELD,
     INERTIA,
     LANES,
+    MASS,
     OFFSET,
+    SPRING,
     STIFFNESS,
     VISCOUS,
     IntArray,
     SampledLoop,
+    Seeds,
 )
 from jointid.simulation.kernels.control import SmallLaw, control_any
 
 State: TypeAlias = tuple[float, float, float, float]
+Bounds: TypeAlias = tuple[float, float, float, float, float, float]
 
 INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
-MODES = 9
+MODES = 9  # of two masses in a band each and their spring in a piece
 _ORDER = 10  # of the series of the motion
 _STRIDE = 0.25  # rad of the fastest motion in a series: its remainder is at most 30 times the rounding error
 _HELD = 1e-300  # what a cone without width holds: nothing that is pushed
@@ -49,16 +54,6 @@ WIDE = 4 * LANES  # derivatives of a state
 # parameters change in the map of these; derivatives of two states of the law, and of the torque; then what parameters
 # change in the law's output.
 _S, _T, _Z, _D, _EXPLICIT, SCRATCH = (LANES * row for row in (0, 4, 8, 10, 11, 12))
-
-
-@inline_kernel
-def fill_two_masses(mass: FloatArray, spring: FloatArray, masses: FloatArray, springs: FloatArray) -> None:
-    """Fill the numbers of the first two masses and their spring; a rigid joint has a load that nothing pushes."""
-    masses[1, INERTIA] = 1.0
-    for i in range(min(mass.shape[0], 2)):
-        assign(masses[i], mass[i])
-    for i in range(min(spring.shape[0], 1)):
-        assign(springs[i], spring[i])
 
 
 @inline_kernel
@@ -88,10 +83,11 @@ def fill_rates(
     stiffness, damping, back1, back2 = spring[0, STIFFNESS], spring[0, DAMPING], int(m1 <= 0), int(m2 <= 0)
     viscous1, force1 = mass[0, VISCOUS + back1], (2 * back1 - 1) * mass[0, COULOMB + back1]
     viscous2, force2 = mass[1, VISCOUS + back2], (2 * back2 - 1) * mass[1, COULOMB + back2]
+    force1, force2 = force1 - mass[0, OFFSET] + spring[0, HELD], force2 - mass[1, OFFSET] - spring[0, HELD]
     rates[0, 0], rates[0, 1], rates[0, 2] = -(viscous1 + damping) * share1, stiffness * share1, damping * share1
-    rates[0, 3], rates[0, 4] = torque * share1, (force1 - mass[0, OFFSET]) * share1
+    rates[0, 3], rates[0, 4] = torque * share1, force1 * share1
     rates[1, 0], rates[1, 1], rates[1, 2] = damping * share2, -stiffness * share2, -(viscous2 + damping) * share2
-    rates[1, 3], rates[1, 4] = 0.0, (force2 - mass[1, OFFSET]) * share2
+    rates[1, 3], rates[1, 4] = 0.0, force2 * share2
 
 
 @inline_kernel
@@ -135,7 +131,7 @@ def _fill_bends(mass: FloatArray, spring: FloatArray, m1: int, m2: int, h: float
     growth = math.exp(min(-min(viscous1 / inertia1, viscous2 / inertia2, 0.0) * h, 50.0))
     bend = h * h / 8.0 / root1 * growth if m1 != 0 or m2 != 0 else 0.0  # where nothing moves, nothing bends
     bends[0], bends[1] = bend * (bend1 if m1 != 0 else push1), bend * (bend2 if m2 != 0 else push2)
-    bends[2] = growth
+    bends[2], bends[3] = growth, bend * (abs(m1) / root1 + abs(m2) / root2)  # the last of the deflection
 
 
 @inline_kernel
@@ -151,125 +147,131 @@ def unit_move(rates: FloatArray, m1: int, m2: int, i: int, h: float) -> State:
     return x[0], x[1], x[2] - begin, x[3]
 
 
-@compile_kernel
-def fill_mode(
-    mass: FloatArray, spring: FloatArray, mode: int, lengths: FloatArray, rates: FloatArray, moves: FloatArray,
-    bends: FloatArray,
-) -> None:  # fmt: skip
-    """Fill what `glide` and `ride` read of a mode.
+@inline_kernel
+def _ways(mode: int) -> tuple[int, int]:
+    """Return the directions in which the masses move in a mode."""
+    return mode % MODES // 3 - 1, mode % 3 - 1
 
-    These are `rates`, (MODES, 2, INPUTS), accelerations of motor and load by each input; `moves`, (parts * MODES,
-    INPUTS, 4), see `unit_move`; and `bends`, (parts * MODES, 3).
+
+@compile_kernel
+def enter_mode(
+    bands: int, pieces: int, mass: FloatArray, spring: FloatArray, modes: FloatArray, at: IntArray, v: FloatArray,
+    loose: float, lengths: FloatArray, filled: NDArray[np.bool_], rates: FloatArray, moves: FloatArray,
+    bends: FloatArray,
+) -> int:  # fmt: skip
+    """Return the number of the mode of two masses, and fill what is read of it when it is met.
+
+    There are 9 for each band of the motor, those for each of the load, and all for each piece, negative ones first. A
+    mass that no friction holds moves on as it does, at rest `loose`. Filled are `rates`, (modes, 2, INPUTS),
+    accelerations of motor and load by each input; `moves`, (modes * parts, INPUTS, 4), see `unit_move`; and `bends`,
+    (modes * parts, 4).
     """
-    m1, m2 = mode // 3 - 1, mode % 3 - 1
-    share1, share2 = abs(m1) / mass[0, INERTIA], abs(m2) / mass[1, INERTIA]
-    fill_rates(mass, spring, m1, m2, share1, share2, 1.0, rates[mode])
+    one, two, where = modes[0], modes[1] if v.size > 1 else 0.0, at[0]
+    if one == FREE:
+        one = math.copysign(1.0, v[0]) if v[0] != 0.0 else loose
+    if two == FREE:
+        two = math.copysign(1.0, v[1]) if v[1] != 0.0 else loose
+    if v.size > 1:
+        where += bands * (at[1] + bands * (at[2] + pieces - 1))
+    mode = MODES * where + int(3.0 * one + two) + 4
+    if filled[mode]:
+        return mode
+    m1, m2 = _ways(mode)
+    fill_rates(mass, spring, m1, m2, abs(m1) / mass[0, INERTIA], abs(m2) / mass[1, INERTIA], 1.0, rates[mode])
     for part in range(lengths.size):
-        b = part * MODES + mode
+        b = mode * lengths.size + part
         _fill_bends(mass, spring, m1, m2, lengths[part], bends[b])
         for i in range(INPUTS):
             x = unit_move(rates[mode], m1, m2, i, lengths[part])
             moves[b, i, 0], moves[b, i, 1], moves[b, i, 2], moves[b, i, 3] = x
-
-
-@inline_kernel
-def enter_mode(
-    mass: FloatArray, spring: FloatArray, modes: FloatArray, v: FloatArray, loose: float, lengths: FloatArray,
-    filled: NDArray[np.bool_], rates: FloatArray, moves: FloatArray, bends: FloatArray,
-) -> int:  # fmt: skip
-    """Return the number of the mode of two masses, and fill what is read of it when it is met.
-
-    One that no friction holds moves on as it does, at rest `loose`.
-    """
-    m1, m2 = modes[0], modes[1] if v.size > 1 else 0.0
-    if m1 == FREE:
-        m1 = math.copysign(1.0, v[0]) if v[0] != 0.0 else loose
-    if m2 == FREE:
-        m2 = math.copysign(1.0, v[1]) if v[1] != 0.0 else loose
-    mode = int(3.0 * m1 + m2) + 4
-    if not filled[mode]:
-        filled[mode] = True
-        fill_mode(mass, spring, mode, lengths, rates, moves, bends)
+    filled[mode] = True
     return mode
 
 
 @inline_kernel
-def _rooms(
-    mass: FloatArray, m1: int, m2: int, s: float, pull: float, end: float, room1: float, room2: float
-) -> tuple[float, float]:
-    """Return the rooms of masses in motion, which are given, and of those at rest in their cones, at both ends."""
-    least, most = min(pull, end), max(pull, end)
-    if m1 == 0:
-        push = s - mass[0, OFFSET]
-        room1 = _HELD + min(mass[0, COULOMB] - (push + most), mass[0, COULOMB_BACK] + (push + least))
-    if m2 == 0:
-        push = mass[1, OFFSET]
-        room2 = _HELD + min(mass[1, COULOMB] + (push + least), mass[1, COULOMB_BACK] - (push + most))
-    return room1, room2
+def _bounds(bounds: FloatArray) -> Bounds:
+    """Return the least and the largest speeds of motor and load, and deflection; a mass in motion does not turn."""
+    if bounds.shape[0] == 1:
+        return max(bounds[0, 0], 0.0), bounds[0, 1], 0.0, np.inf, -np.inf, np.inf
+    slowest1, slowest2 = max(bounds[0, 0], 0.0), max(bounds[1, 0], 0.0)
+    return slowest1, bounds[0, 1], slowest2, bounds[1, 1], bounds[2, 0], bounds[2, 1]
 
 
 @inline_kernel
-def _cross(
-    mass: FloatArray, spring: FloatArray, r: FloatArray, m: FloatArray, bends: FloatArray, mode: int, part: int,
-    x: State, s: float,
-) -> tuple[bool, float, State]:  # fmt: skip
-    """Return whether nothing happens in a part under a held torque, the root energy as it begins, and its end.
+def _inside(start: float, end: float, low: float, high: float) -> float:
+    """Return the room that a chord leaves between bounds."""
+    return min(min(start, end) - low, high - max(start, end))
 
-    See `_fill_bends`. False means "not proved".
-    """
-    m1, m2, a, b = mode // 3 - 1, mode % 3 - 1, np.uint64(mode), np.uint64(part * MODES + mode)
-    x0, v1, x2, v2 = x
-    stretch, apart = x2 - x0, v2 - v1
-    a1 = (r[a, 0, 0] * v1 + r[a, 0, 1] * stretch) + (r[a, 0, 2] * v2 + r[a, 0, 3] * s) + r[a, 0, 4]
-    a2 = (r[a, 1, 0] * v1 + r[a, 1, 1] * stretch) + (r[a, 1, 2] * v2 + r[a, 1, 4])
-    y0 = (x0 + (m[b, 0, 0] * v1 + m[b, 2, 0] * v2)) + ((m[b, 4, 0] + m[b, 1, 0] * stretch) + m[b, 3, 0] * s)
-    y1 = (m[b, 0, 1] * v1 + m[b, 2, 1] * v2) + ((m[b, 4, 1] + m[b, 1, 1] * stretch) + m[b, 3, 1] * s)
-    y2 = (x2 + (m[b, 0, 2] * v1 + m[b, 2, 2] * v2)) + ((m[b, 4, 2] + m[b, 1, 2] * stretch) + m[b, 3, 2] * s)
-    y3 = (m[b, 0, 3] * v1 + m[b, 2, 3] * v2) + ((m[b, 4, 3] + m[b, 1, 3] * stretch) + m[b, 3, 3] * s)
-    inertia, stiffness, damping = mass[0, INERTIA], spring[0, STIFFNESS], spring[0, DAMPING]
-    pull, end = stiffness * stretch + damping * apart, stiffness * (y2 - y0) + damping * (y3 - y1)
-    root = math.sqrt(inertia * (inertia * a1 * a1 + mass[1, INERTIA] * a2 * a2 + stiffness * apart * apart))
-    room1, room2 = _rooms(mass, m1, m2, s, pull, end, min(m1 * v1, m1 * y1), min(m2 * v2, m2 * y3))
-    return room1 > bends[b, 0] * root and room2 > bends[b, 1] * root, root, (y0, y1, y2, y3)
+
+@inline_kernel
+def _move(m: FloatArray, b: int, x: State, s: float) -> State:
+    """Return the state at the end of a part under a held torque."""
+    at, stretch = np.uint64(b), x[2] - x[0]  # Numba looks for negative indices among the signed
+    y0 = (x[0] + (m[at, 0, 0] * x[1] + m[at, 2, 0] * x[3])) + ((m[at, 4, 0] + m[at, 1, 0] * stretch) + m[at, 3, 0] * s)
+    y1 = (m[at, 0, 1] * x[1] + m[at, 2, 1] * x[3]) + ((m[at, 4, 1] + m[at, 1, 1] * stretch) + m[at, 3, 1] * s)
+    y2 = (x[2] + (m[at, 0, 2] * x[1] + m[at, 2, 2] * x[3])) + ((m[at, 4, 2] + m[at, 1, 2] * stretch) + m[at, 3, 2] * s)
+    y3 = (m[at, 0, 3] * x[1] + m[at, 2, 3] * x[3]) + ((m[at, 4, 3] + m[at, 1, 3] * stretch) + m[at, 3, 3] * s)
+    return y0, y1, y2, y3
+
+
+@inline_kernel
+def _stays(
+    mass: FloatArray, spring: FloatArray, bounds: Bounds, bends: FloatArray, b: int, m1: int, m2: int, x: State,
+    y: State, s: float, root: float,
+) -> bool:  # fmt: skip
+    """Return whether nothing happens in a part, by its root energy, see `_fill_bends`; False means "not proved"."""
+    slowest1, fastest1, slowest2, fastest2, low, high = bounds
+    stretch, after, at = x[2] - x[0], y[2] - y[0], np.uint64(b)
+    room1, room2 = _inside(m1 * x[1], m1 * y[1], slowest1, fastest1), _inside(m2 * x[3], m2 * y[3], slowest2, fastest2)
+    if m1 == 0 or m2 == 0:  # one at rest stays in its cone
+        stiffness, damping, held = spring[0, STIFFNESS], spring[0, DAMPING], spring[0, HELD]
+        pull, end = (
+            held + stiffness * stretch + damping * (x[3] - x[1]),
+            held + stiffness * after + damping * (y[3] - y[1]),
+        )
+        least, most = min(pull, end), max(pull, end)
+        if m1 == 0:
+            push = s - mass[0, OFFSET]
+            room1 = _HELD + min(mass[0, COULOMB] - (push + most), mass[0, COULOMB_BACK] + (push + least))
+        if m2 == 0:
+            push = mass[1, OFFSET]
+            room2 = _HELD + min(mass[1, COULOMB] + (push + least), mass[1, COULOMB_BACK] - (push + most))
+    inside = _inside(stretch, after, low, high) > bends[at, 3] * root
+    return room1 > bends[at, 0] * root and room2 > bends[at, 1] * root and inside
+
+
+@inline_kernel
+def _root_energy(mass: FloatArray, spring: FloatArray, r: FloatArray, mode: int, x: State, s: float) -> float:
+    """Return the root energy of the rates of change as a part begins, see `_fill_bends`."""
+    a, inertia, stretch, apart = np.uint64(mode), mass[0, INERTIA], x[2] - x[0], x[3] - x[1]
+    a1 = (r[a, 0, 0] * x[1] + r[a, 0, 1] * stretch) + (r[a, 0, 2] * x[3] + r[a, 0, 3] * s) + r[a, 0, 4]
+    a2 = (r[a, 1, 0] * x[1] + r[a, 1, 1] * stretch) + (r[a, 1, 2] * x[3] + r[a, 1, 4])
+    return math.sqrt(inertia * (inertia * a1 * a1 + mass[1, INERTIA] * a2 * a2 + spring[0, STIFFNESS] * apart * apart))
 
 
 @inline_kernel
 def _follow_chords(
-    mass: FloatArray, spring: FloatArray, law: SmallLaw, m: FloatArray, bends: FloatArray, mode: int,
+    mass: FloatArray, spring: FloatArray, bounds: Bounds, law: SmallLaw, m: FloatArray, bends: FloatArray, mode: int,
     states: FloatArray, kept: NDArray[np.int16], lag: int, before: float, w: FloatArray, post: FloatArray,
-    u: FloatArray, excess: FloatArray, x: State, z: tuple[float, float], bound: float, last: float, k: int,
+    u: FloatArray, excess: FloatArray, x: State, z: tuple[float, float], root: float, last: float, k: int,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while chords show that nothing happens.
 
-    Return the first period that is left to `_cross`, where the controller has already run; how often it was at its
-    limit; and both states. A chord needs the root energy: `bound` bounds it in a period before under the torque `last`,
+    Return the first period of which that is not shown, where the controller has already run; how often it was at its
+    limit; and both states. A chord needs the root energy: `root` bounds it in a period before under the torque `last`,
     and it grows by at most the change of the torque. For a torque that acts over whole periods, and a controller with
     at most two states.
     """
-    begin, clipped, m1, m2 = k, 0, mode // 3 - 1, mode % 3 - 1
+    begin, clipped, (m1, m2) = k, 0, _ways(mode)
     a00, a01, a10, a11, b0, b1, c0, c1, cut0, cut1, d, limit = law
-    x0, x1, x2, x3 = x
     z0, z1 = z
-    p00, p10, p20, p30 = m[mode, 0, 0], m[mode, 0, 1], m[mode, 0, 2], m[mode, 0, 3]
-    p01, p11, p21, p31 = m[mode, 1, 0], m[mode, 1, 1], m[mode, 1, 2], m[mode, 1, 3]
-    p02, p12, p22, p32 = m[mode, 2, 0], m[mode, 2, 1], m[mode, 2, 2], m[mode, 2, 3]
-    g0, g1, g2, g3 = m[mode, 3, 0], m[mode, 3, 1], m[mode, 3, 2], m[mode, 3, 3]
-    f0, f1, f2, f3 = m[mode, 4, 0], m[mode, 4, 1], m[mode, 4, 2], m[mode, 4, 3]
-    chord1, chord2 = bends[mode, 0], bends[mode, 1]
-    bound = bound if bends[mode, 2] == 1.0 else np.inf  # what grows is bounded over one period alone
-    resting, keep = m1 == 0 or m2 == 0, states.shape[0] > 0
-    stiffness, damping = spring[0, STIFFNESS], spring[0, DAMPING]
-    # Velocities in the direction of their mode are positive while nothing happens.
-    d1, d2 = -1.0 if m1 < 0 else 1.0, -1.0 if m2 < 0 else 1.0
-    x1, p00, p20, p11, p31, g1, f1 = d1 * x1, d1 * p00, d1 * p20, d1 * p11, d2 * p31, d1 * g1, d1 * f1
-    x3, p02, p22, p12, p30, g3, f3 = d2 * x3, d2 * p02, d2 * p22, d1 * d2 * p12, d1 * d2 * p30, d2 * g3, d2 * f3
-    stretch = x2 - x0
+    root = root if bends[mode, 2] == 1.0 else np.inf  # what grows is bounded over one period alone
     while k < w.size:
-        at = np.uint64(k)  # Numba looks for negative indices among the signed
-        raw = (w[at] + d * x0) + (c0 * z0 + c1 * z1)
+        at = np.uint64(k)
+        raw = (w[at] + d * x[0]) + (c0 * z0 + c1 * z1)
         command = raw
-        next0 = b0 * x0 + (a00 * z0 + a01 * z1)
-        next1 = b1 * x0 + (a10 * z0 + a11 * z1)
+        next0 = b0 * x[0] + (a00 * z0 + a01 * z1)
+        next1 = b1 * x[0] + (a10 * z0 + a11 * z1)
         if not abs(raw) <= limit:  # a branch: the limit stays out of the chain of operations from state to state
             command = min(max(raw, -limit), limit)
             cut, clipped = command - raw, clipped + 1
@@ -283,49 +285,40 @@ def _follow_chords(
             s = command + post[at]
         elif k >= lag:
             s = u[np.uint64(k - lag)] + post[np.uint64(k - lag)]
-        if keep:
-            states[at, 0], states[at, 1] = x0, d1 * x1
-            states[at, 2], states[at, 3] = x2, d2 * x3
-        y0 = (x0 + (p00 * x1 + p02 * x3)) + ((f0 + p01 * stretch) + g0 * s)
-        y1 = (p10 * x1 + p12 * x3) + ((f1 + p11 * stretch) + g1 * s)
-        y2 = (x2 + (p20 * x1 + p22 * x3)) + ((f2 + p21 * stretch) + g2 * s)
-        y3 = (p30 * x1 + p32 * x3) + ((f3 + p31 * stretch) + g3 * s)
-        bound += abs(s - last)
+        if states.shape[0] > 0:
+            states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x
+        y = _move(m, mode, x, s)
+        root += abs(s - last)
         last = s
-        room1, room2 = min(x1, y1), min(x3, y3)
-        if resting:
-            pull = stiffness * stretch + damping * (d2 * x3 - d1 * x1)
-            end = stiffness * (y2 - y0) + damping * (d2 * y3 - d1 * y1)
-            room1, room2 = _rooms(mass, m1, m2, s, pull, end, room1, room2)
-        if not (room1 > chord1 * bound and room2 > chord2 * bound):
+        if not _stays(mass, spring, bounds, bends, mode, m1, m2, x, y, s, root):
             break
-        x0, x1, x2, x3 = y0, y1, y2, y3
-        stretch = y2 - y0
+        x = y
         k += 1
-    for i in range(begin, k if keep else begin):
+    for i in range(begin, k if states.shape[0] > 0 else begin):
         kept[i] = mode
-    return k, clipped, (x0, d1 * x1, x2, d2 * x3), (z0, z1)
+    return k, clipped, x, (z0, z1)
 
 
 @compile_kernel
 def ride(
-    mass: FloatArray, spring: FloatArray, loop: SampledLoop, law: SmallLaw, small: bool, before: float, far: float,
-    rates: FloatArray, moves: FloatArray, bends: FloatArray, mode: int, states: FloatArray, kept: NDArray[np.int16],
-    q: FloatArray, v: FloatArray, z: FloatArray, fresh: FloatArray, out: FloatArray, cut: FloatArray, u: FloatArray,
-    excess: FloatArray, counts: IntArray, k: int, part: int,
+    mass: FloatArray, spring: FloatArray, bounds: FloatArray, loop: SampledLoop, law: SmallLaw, small: bool,
+    before: float, far: float, rates: FloatArray, moves: FloatArray, bends: FloatArray, mode: int, states: FloatArray,
+    kept: NDArray[np.int16], q: FloatArray, v: FloatArray, z: FloatArray, fresh: FloatArray, out: FloatArray,
+    cut: FloatArray, u: FloatArray, excess: FloatArray, counts: IntArray, k: int, part: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Simulate on by maps while nothing happens; return the period, and its part, in which something may.
 
     The controller has run in that period. A small law, of which the torque acts over whole periods, goes along chords.
     """
     post, lags, output = loop.post[0], loop.lags[0], loop.output[0]
-    x, bound, s, nothing, keep = read_state(q, v), np.inf, 0.0, True, states.shape[0] > 0
-    memory = z[0, 0] if z.shape[1] > 0 else 0.0, z[0, 1] if z.shape[1] > 1 else 0.0
+    x, root, s, nothing, keep = read_state(q, v), np.inf, 0.0, True, states.shape[0] > 0
+    m1, m2 = _ways(mode)
+    memory, within = (z[0, 0] if z.shape[1] > 0 else 0.0, z[0, 1] if z.shape[1] > 1 else 0.0), _bounds(bounds)
     while nothing and k < u.size:
         if small:
             k, clipped, x, memory = _follow_chords(
-                mass, spring, law, moves, bends, mode, states, kept, lags[0], before, loop.w[0, 0], post, u, excess, x,
-                memory, bound, s, k,
+                mass, spring, within, law, moves, bends, mode, states, kept, lags[0], before, loop.w[0, 0], post, u,
+                excess, x, memory, root, s, k,
             )  # fmt: skip
             counts[3] += clipped
         elif part == 0:
@@ -342,7 +335,9 @@ def ride(
             if keep:
                 kept[at] = mode
                 states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x
-            nothing, bound, y = _cross(mass, spring, rates, moves, bends, mode, part, x, s)
+            here, root = mode * lags.size + part, _root_energy(mass, spring, rates, mode, x, s)
+            y = _move(moves, here, x, s)
+            nothing = _stays(mass, spring, within, bends, here, m1, m2, x, y, s, root)
             if nothing:
                 x, part = y, part + 1
         if nothing:
@@ -360,17 +355,26 @@ def ride(
 
 @compile_kernel
 def fill_tangent(
-    mass: FloatArray, dmass: FloatArray, dspring: FloatArray, mode: int, lengths: FloatArray, rates: FloatArray,
-    bent: NDArray[Any], slopes: FloatArray, moves: FloatArray, moved: FloatArray,
+    masses: FloatArray, springs: FloatArray, seeds: Seeds, mode: int, lengths: FloatArray, rates: FloatArray,
+    moves: FloatArray, moved: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the maps of a mode, and their derivatives by a complex step.
+    """Fill the maps of a mode, and their derivatives by LANES parameters by a complex step.
 
-    Columns are of parameters, by which masses and springs have derivatives, (LANES, 2 or 1, numbers). Filled are
-    `moves`, as by `fill_mode`, and `moved`, (parts * MODES, INPUTS, 4, LANES); `bent` and `slopes`, (2, INPUTS), are
-    scratch.
+    Filled are `moves`, as by `enter_mode`, and `moved`, (modes * parts, INPUTS * 4 * LANES).
     """
-    m1, m2 = mode // 3 - 1, mode % 3 - 1
-    share1, share2 = abs(m1) / mass[0, INERTIA], abs(m2) / mass[1, INERTIA]
+    (m1, m2), nd, (where, band), bands = _ways(mode), masses.shape[0], (mode // MODES, 0), masses.shape[1]
+    dmass, dspring = np.zeros((LANES, 2, MASS)), np.zeros((LANES, 1, SPRING))
+    bent, slopes = np.zeros((2, INPUTS), dtype=np.complex128), np.zeros((2, INPUTS))
+    share1, share2 = abs(m1) / masses[0, 0, INERTIA], abs(m2) / masses[nd - 1, 0, INERTIA]
+    for i in range(nd + springs.shape[0]):
+        piece = where - springs.shape[1] + 1
+        where, band = where // bands, where % bands if i < nd else abs(piece)
+        for e in range(seeds.begin[i, band], seeds.begin[i, band + 1]):
+            number, c, value = seeds.numbers[e], seeds.columns[e], seeds.values[e]
+            if i < nd:
+                dmass[c, i, number] = value
+            else:
+                dspring[c, 0, number] = -value if number == HELD and piece < 0 else value
     for c in range(LANES):
         fill_rates(dmass[c], dspring[c], m1, m2, share1, share2, 0.0, slopes)
         for i in range(INPUTS):
@@ -379,9 +383,9 @@ def fill_tangent(
             bent[0, i], bent[1, i] = rates[mode, 0, i] + _STEP * slope1, rates[mode, 1, i] + _STEP * slope2
         for part in range(lengths.size):
             for i in range(INPUTS):
-                x, b = unit_move(bent, m1, m2, i, lengths[part]), part * MODES + mode
+                x, b = unit_move(bent, m1, m2, i, lengths[part]), mode * lengths.size + part
                 for row in range(4):
-                    moves[b, i, row], moved[b, i, row, c] = x[row].real, x[row].imag / _STEP.imag
+                    moves[b, i, row], moved[b, i * WIDE + row * LANES + c] = x[row].real, x[row].imag / _STEP.imag
 
 
 @inline_kernel
@@ -476,7 +480,7 @@ def glide_slopes(
             acts, torque = np.uint64(max(source, 0)), u[source] + post[source] if source >= 0 else before
             for j in range(LANES if parts > 1 or source < k else 0):
                 s[_D + j] = du[acts, j]
-            _step(s, m, moved, part * MODES + mode, states, k * parts + part, torque)
+            _step(s, m, moved, mode * parts + part, states, k * parts + part, torque)
         k += 1
     _write(s, dq, dv)
     for i in range(dz.shape[0]):

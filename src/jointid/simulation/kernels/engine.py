@@ -342,7 +342,7 @@ def run(
     q1, v1, w1, a1, held1, grip1 = q.copy(), v.copy(), w.copy(), a.copy(), a.copy(), a.copy()
     drive, mobility, second, third = a.copy(), a.copy(), a.copy(), a.copy()
     pull, modes, at, bounds = np.zeros(ns), w.copy(), np.zeros(nd + ns, dtype=np.int64), np.zeros((nd + ns, 2))
-    mass, spring = masses[:, 0].copy(), springs[:, 0].copy()
+    mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.SPRING))
     guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
     M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
@@ -351,7 +351,9 @@ def run(
     for part in range(parts):
         period += lengths[part]
         longest = max(longest, lengths[part])
+    mass[1, kernels.INERTIA] = 1.0  # the maps of a rigid joint have a load that nothing pushes
     for i in range(nd):
+        assign(mass[i], masses[i, 0])
         w[i] = wound[i]
         mobility[i] = 1.0 / mass[i, kernels.INERTIA] if i >= links else 0.0
         coupled = coupled or (carriers[i] < 0 and mass[i, kernels.PER_TORQUE] > 0.0)
@@ -373,11 +375,9 @@ def run(
     events, steps, rows, status, k, fastest = 0, 0, 1, FINISHED, 0, rate
     # The maps of straight lines, and a law of one element, one phase and two states at most, which glides by them.
     straight, states, kept_modes, rates = path
-    lines, tie = np.zeros((2, kernels.MASS + 1)), np.zeros((1, kernels.SPRING))
-    affine.fill_two_masses(mass, spring, lines, tie)
-    maps, part = affine.MODES if straight else 0, 0
+    maps, part, bands, pieces = rates.shape[0], 0, masses.shape[1], springs.shape[1]
     filled = np.zeros(maps, dtype=np.bool_)
-    moves, bends = np.zeros((parts * maps, affine.INPUTS, 4)), np.zeros((parts * maps, 3))
+    moves, bends = np.empty((parts * maps, affine.INPUTS, 4)), np.empty((parts * maps, 4))
     small = straight and parts == 1 and z.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
     law = small_law(loop, z.shape[1] if small else 0)
     if straight:
@@ -389,10 +389,12 @@ def run(
         limited = False
         if tree is None:  # noqa: SIM102 (it is not compiled for robots)
             if straight:
-                mode = affine.enter_mode(lines, tie, modes, v, 0.0, lengths, filled, rates, moves, bends)
+                mode = affine.enter_mode(
+                    bands, pieces, mass, spring, modes, at, v, 0.0, lengths, filled, rates, moves, bends
+                )
                 k, part = affine.ride(
-                    lines, tie, loop, law, small, before[0], far[0], rates, moves, bends, mode, states, kept_modes, q,
-                    v, z, fresh, out, cut, command[0], excess[0], counts, k, part,
+                    mass, spring, bounds, loop, law, small, before[0], far[0], rates, moves, bends, mode, states,
+                    kept_modes, q, v, z, fresh, out, cut, command[0], excess[0], counts, k, part,
                 )  # fmt: skip
                 if k == clock:
                     break
@@ -448,7 +450,9 @@ def run(
                 if status != FINISHED:
                     break
                 if straight:
-                    mode = affine.enter_mode(lines, tie, modes, v, 1.0, lengths, filled, rates, moves, bends)
+                    mode = affine.enter_mode(
+                        bands, pieces, mass, spring, modes, at, v, 1.0, lengths, filled, rates, moves, bends
+                    )
                     if left == lengths[part] and kept_modes.size > 0:  # in which it begins to move
                         kept_modes[k * parts + part] = mode
                 h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)

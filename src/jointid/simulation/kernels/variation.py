@@ -328,23 +328,12 @@ def follow(
         assign(dq[i], first_q[i])
         assign(dv[i], first_v[i])
     straight, kept, modes, rates = path
-    lines, maps, inputs = np.zeros((2, kernels.MASS + 1)), parts * affine.MODES if straight else 0, affine.INPUTS
-    affine.fill_two_masses(mass, spring, lines, np.zeros((1, kernels.SPRING)))
-    filled, moves = np.zeros(affine.MODES, dtype=np.bool_), np.zeros((maps, inputs, 4))
-    pushes = np.zeros((maps, inputs * affine.WIDE))
-    in_lanes, shifted = np.zeros(affine.SCRATCH), np.zeros((2, inputs), dtype=np.complex128)
-    by = np.zeros((2, inputs))
-    dmass, dspring = np.zeros((kernels.LANES, 2, kernels.MASS)), np.zeros((kernels.LANES, 1, kernels.SPRING))
+    maps, inputs, in_lanes = rates.shape[0], affine.INPUTS, np.zeros(affine.SCRATCH)
+    filled, moves = np.zeros(maps, dtype=np.bool_), np.empty((maps * parts, inputs, 4))
+    pushes = np.empty((maps * parts, inputs * affine.WIDE))
     small = straight and dz.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
     law = small_law(loop, dz.shape[1] if small else 0)
     plain = small and len(states) + len(seeds.delays) == 0
-    if straight:
-        for i in range(nd + ns):
-            for e in range(seeds.begin[i, 0], seeds.begin[i, 1]):
-                if i < nd:
-                    dmass[seeds.columns[e], i, seeds.numbers[e]] = seeds.values[e]
-                else:
-                    dspring[seeds.columns[e], i - nd, seeds.numbers[e]] = seeds.values[e]
     period, row, step, at_band = np.sum(lengths), 1, 0, STATE + 5 * nd + ns
     while step < steps:
         if step % OFTEN == 0:
@@ -401,12 +390,9 @@ def follow(
                     edge = False
                     if not filled[mode]:
                         filled[mode] = True
-                        affine.fill_tangent(
-                            lines, dmass, dspring, mode, lengths, rates, shifted, by, moves,
-                            pushes.reshape((maps, inputs, 4, kernels.LANES)),
-                        )  # fmt: skip
+                        affine.fill_tangent(masses, springs, seeds, mode, lengths, rates, moves, pushes)
                     if not stepped:
-                        tangent = part * affine.MODES + mode
+                        tangent = mode * parts + part
                         affine.cross_slopes(in_lanes, moves, pushes, tangent, kept, at, s, dtau[0], dq, dv)
             while row < last_row and tape[row, kernels.PART] == at:
                 h = tape[row, kernels.LENGTH]
