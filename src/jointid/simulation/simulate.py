@@ -1,6 +1,6 @@
 """Simulation of one candidate, a joint or a robot, under its controllers along the references of its records.
 
-All run in `kernels.engine`; a joint whose laws are all lines goes by affine maps where nothing happens.
+All run in `kernels.engine`; a joint whose laws are lines in pieces goes by affine maps where nothing happens.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Run:
         command: (n, clock) torques that act, the last held after a failure.
         excess: (n, periods, elements) what limits and gates take away; tape: its steps. Both are empty unless they were
             kept.
-        path: of a joint of straight lines, kept with the tape.
+        path: of a joint of lines in pieces, kept with the tape.
         counts: (4,) events, rows of the tape, steps of the clock, and those at a limit.
     """
 

@@ -41,8 +41,8 @@ def simulate(
         initial: where the motor of a joint is at the first sample.
         steps: of a robot's integrator per part of a period; None keeps the fastest motion below 0.5 rad a step.
 
-    A joint whose laws are all lines is exact to rounding. All other joints and robots are integrated by a Runge-Kutta
-    method of order 4 between located events.
+    A joint whose laws are lines in pieces is exact to rounding. All other joints and robots are integrated by a
+    Runge-Kutta method of order 4 between located events.
 
     Raises:
         RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.

@@ -13,7 +13,7 @@ operation as dear as thirty others.
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,7 +173,7 @@ def enter_mode(
         two = math.copysign(1.0, v[1]) if v[1] != 0.0 else loose
     if v.size > 1:
         where += bands * (at[1] + bands * (at[2] + pieces - 1))
-    mode = MODES * where + int(3.0 * one + two) + 4
+    mode = int(MODES * where + 3.0 * one + two) + 4
     if filled[mode]:
         return mode
     m1, m2 = _ways(mode)
@@ -237,7 +237,7 @@ def _stays(
             push = mass[1, OFFSET]
             room2 = _HELD + min(mass[1, COULOMB] + (push + least), mass[1, COULOMB_BACK] - (push + most))
     inside = _inside(stretch, after, low, high) > bends[at, 3] * root
-    return room1 > bends[at, 0] * root and room2 > bends[at, 1] * root and inside
+    return bool(room1 > bends[at, 0] * root and room2 > bends[at, 1] * root and inside)
 
 
 @inline_kernel
@@ -364,7 +364,8 @@ def fill_tangent(
     """
     (m1, m2), nd, (where, band), bands = _ways(mode), masses.shape[0], (mode // MODES, 0), masses.shape[1]
     dmass, dspring = np.zeros((LANES, 2, MASS)), np.zeros((LANES, 1, SPRING))
-    bent, slopes = np.zeros((2, INPUTS), dtype=np.complex128), np.zeros((2, INPUTS))
+    bent: NDArray[Any] = np.zeros((2, INPUTS), dtype=np.complex128)
+    slopes = np.zeros((2, INPUTS))
     share1, share2 = abs(m1) / masses[0, 0, INERTIA], abs(m2) / masses[nd - 1, 0, INERTIA]
     for i in range(nd + springs.shape[0]):
         piece = where - springs.shape[1] + 1

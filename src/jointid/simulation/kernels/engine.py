@@ -10,9 +10,9 @@ flexible one the rotor is a mass that only its spring ties to the links (M. W. S
 joint robots, Journal of Dynamic Systems, Measurement, and Control 109, 1987). Where motors are coupled the position of
 a link is that of the shaft that its motor turns, so that friction and springs are each one shaft's.
 
-Between two events this is smooth, and integrated by the classical method of order 4; a joint whose laws are lines has
-affine maps for whole parts of a period (`kernels.affine`). A step is a share of the time in
-which the fastest part of the motion turns by one radian, so that a joint's torque is within some 1e-5 of its peak.
+Between two events this is smooth, and integrated by the classical method of order 4; a joint whose laws are lines in
+pieces has affine maps for whole parts of a period (`kernels.affine`). A step is a share of the time in which the
+fastest part of the motion turns by one radian, so that a joint's torque is within some 1e-5 of its peak.
 
 The events are a mass that stops, one that comes loose, a deflection that reverses where the spring has a slider, and
 the edges of a friction's bands and of a spring's pieces. The integrator locates them itself, so they do not lower its
@@ -373,7 +373,7 @@ def run(
         for i in range(links):
             M[i, i] += mass[i, kernels.INERTIA]
     events, steps, rows, status, k, fastest = 0, 0, 1, FINISHED, 0, rate
-    # The maps of straight lines, and a law of one element, one phase and two states at most, which glides by them.
+    # The maps of lines in pieces, and a law of one element, one phase and two states at most, which glides by them.
     straight, states, kept_modes, rates = path
     maps, part, bands, pieces = rates.shape[0], 0, masses.shape[1], springs.shape[1]
     filled = np.zeros(maps, dtype=np.bool_)
