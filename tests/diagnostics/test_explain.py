@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import jointid as ji
 from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
 from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
-from jointid.diagnostics.explain import explain_failure, find_causes
+from jointid.diagnostics.explain import Case, explain_failure, find_causes, list_cases
 from jointid.diagnostics.model_free import find_plain_cause, find_steps, find_unexplained_share
 from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
@@ -69,6 +70,14 @@ def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one()
     assert causes.message.code is Reason.NO_CAUSE_FOUND
 
 
+def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
+    record, loop = without_mistake(axis("rigid"))
+    loop = replace(loop, controller=replace(loop.controller, period=axis("rigid").rate / 4))  # type: ignore[type-var]
+    declared = Case(record, loop, ji.Filtering().resolve(axis("rigid").rate, "rigid"))
+    tried = [one.factor for one in list_cases(declared) if one.change is not None and one.change.name == "sample_time"]
+    assert tried == [0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0]
+
+
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
     """It is about what the right loop leaves, whatever loop is declared, and all of it for another motion."""
     record, loop = without_mistake(axis("direct"))
@@ -85,14 +94,11 @@ def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
 def test_a_search_that_fails_hides_no_error_and_ends_no_identification(
     failure: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise failure
-
     record, loop = without_mistake(axis("rigid"))
-    monkeypatch.setattr(searching, "find_causes", fails)
+    monkeypatch.setattr(searching, "find_causes", Mock(side_effect=failure))
     raised = RecordError("it is wrong.")
     assert explain_failure(raised, record, loop) is raised
-    monkeypatch.setattr(identifying, "explain_misfit", fails)
+    monkeypatch.setattr(identifying, "explain_misfit", Mock(side_effect=failure))
     assert ji.identify(record, loop).checks[-1].name is Subject.LOOP
 
 
