@@ -221,6 +221,12 @@ def _try_feedforward(case: Case) -> Iterator[Case]:
         yield case.under(replace(law, reference_velocity=read))
 
 
+def _try_limit(case: Case) -> Iterator[Case]:
+    law = case.controller
+    if case.numbers.get("limit") == math.inf:  # the largest torque may be it
+        yield case.at("limit", (abs(case.torque.values / (law.gain * law.ratio)).max(),))
+
+
 def _swap_channels(case: Case) -> Iterator[Case]:
     if len(case.torque) == len(case.reference):
         yield case.logging(torque=case.reference.values, reference=case.torque.values)
@@ -296,8 +302,7 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
 
 def _say_sample_time(value: float | None, _: Case) -> Iterator[Cause]:
     assert value is not None
-    said = f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}"
-    yield Cause("sample_time", said, value)
+    yield Cause("sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value)
 
 
 def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iterator[Cause]:
@@ -346,6 +351,7 @@ CHANGES = (
         "velocity_feedforward", _try_feedforward,
         "the velocity feed-forward is there and not declared, or the other way round",
     ),
+    _row("limit", _try_limit, "the controller's output is limited to {shown}, which is not declared"),
     _row("delay", partial(_try_delay, "delay")),
     _row("reference_delay", partial(_try_delay, "reference_delay")),
 )  # fmt: skip
@@ -379,7 +385,6 @@ WHOLE = tuple(one.name for one in INTERPOLATIONS.values())
 OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, *INTERPOLATIONS.values())
 """Those that differ in what they make of the reference."""
 OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *OF_REFERENCE))
-"""Their names."""
 
 
 def list_changes(case: Case) -> Iterator[Change]:
@@ -415,8 +420,10 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
     if getattr(law, "period", period) is not None:
         return
     used, least = law.interpolation or default_interpolation(record.reference), log / _TIMES_FASTER[0]
+    differentiates = isinstance(law, PD) and law.reference_velocity == "difference"
+    differentiates |= any(getattr(law, f"{one}_feedforward", 0.0) for one in ("velocity", "viscous", "acceleration"))
     for other in (None, *_list_other_ways(replace(law, period=least), record, least)):
-        if other == "cubic" and not _differentiates_reference(law):
+        if other == "cubic" and not differentiates:
             continue
         faster: Any = law if other is None else replace(law, interpolation=other)
         more = "" if other is None else f", with its reference {_DONE[other]}"
@@ -459,9 +466,3 @@ def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[In
     if declared is not None or record.reference.sample_time < _SLOWER * period:
         return ()
     return tuple(way for way in _DONE if way != default_interpolation(record.reference))
-
-
-def _differentiates_reference(controller: Any) -> bool:
-    ahead = ("velocity_feedforward", "viscous_feedforward", "acceleration_feedforward")
-    own = isinstance(controller, PD) and controller.reference_velocity == "difference"
-    return own or any(getattr(controller, name, 0.0) for name in ahead)

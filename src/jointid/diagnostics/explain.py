@@ -8,10 +8,9 @@ Of each case the two best starts are followed for a few steps; those far behind 
 converge. A flexible joint is first identified as rigid, far below its resonance, which shows a wrong sign or size; only
 the remaining cases are fitted to the whole band.
 
-The search assumes one mistake. A free number may absorb much of two: so the residual of a cause must be about that of
-free linear responses to the reference (`model_free`), which assume no drive. If that of the best cause is clearly
-larger, something else is wrong, and the message says so. Two mistakes that one number absorbs completely are reported
-as that number.
+The search assumes one mistake. A number may absorb much of two: so the residual of a cause must be about that of free
+linear responses to the reference (`model_free`), which assume no drive. If it is clearly larger, something else is
+wrong, and the message says so. Two mistakes that one number absorbs completely are reported as that number.
 """
 
 from __future__ import annotations

@@ -184,10 +184,7 @@ def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
 
 
 def test_a_demo_that_is_interrupted_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(jointid, "twin", interrupted, raising=False)
+    monkeypatch.setattr(jointid, "twin", Mock(side_effect=KeyboardInterrupt), raising=False)
     assert run("demo", tmp_path / "new", "-q") == 130
     assert not [*tmp_path.iterdir()]
 

@@ -6,6 +6,7 @@ import os
 import stat
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -129,11 +130,7 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_runs(
     """A full disk takes no byte, a folder that is closed or read-only takes nothing."""
     there, (given, outputs) = contents(place), OUTPUTS[command]
     monkeypatch.setattr(answers, "read_choices", lambda _: {})
-
-    def refuse(*_: object) -> None:
-        raise OSError(reason, os.strerror(reason))
-
-    monkeypatch.setattr(Path, "write_bytes", refuse)
+    monkeypatch.setattr(Path, "write_bytes", Mock(side_effect=OSError(reason, os.strerror(reason))))
     for option, path in outputs.items():
         assert run(*f"{command} {given} {option if option.startswith('-') else ''} {path}".split()) == 2
         printed = capsys.readouterr()
