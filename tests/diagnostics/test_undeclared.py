@@ -25,18 +25,17 @@ TRUE = {
     "motor_inertia": 0.012, "motor_viscous": 0.2, "motor_coulomb": 0.25, "stiffness": 900.0, "damping": 0.25,
     "load_inertia": 0.03, "load_viscous": 0.5, "load_coulomb": 0.35, "offset": 0.05,
 }  # fmt: skip
-
-
 UNSPOILT = SimpleNamespace(faults=SimpleNamespace(findings=()))
 
 
-def logged(hidden=0.0, seed=0):
-    """Return the log of the axis, with noise of 3 %, under a cascade with a velocity filter of `hidden` s."""
+def logged(hidden=0.0, seed=0, noise=0.03, given=None, truth=TRUE):
+    """Return the log of the axis, with noise, under a cascade with a velocity filter of `hidden` s, or of another."""
     reference = ji.excitation.trapezoids((0.5, 1.0, 2.0), 20.0, 1.0, 1e-3, duration=4.0)
     pulses = ji.excitation.pulses(reference.size, 1e-3, height=6.0, width=0.01, every=0.2, seed=0)
     loop = ji.ClosedLoop(JOINT, replace(LAW, velocity_filter=FirstOrder(hidden) if hidden else (1.0,)))
-    record = ji.simulated_record(loop, reference, TRUE, sample_time=1e-3, injected=pulses)
-    noise = 0.03 * np.std(record.torque.values) * np.random.default_rng(seed).standard_normal(reference.size)
+    known = None if given else pulses
+    record = ji.simulated_record(given or loop, reference, truth, sample_time=1e-3, injected=known)
+    noise = noise * np.std(record.torque.values) * np.random.default_rng(seed).standard_normal(reference.size)
     torque = replace(record.torque, values=record.torque.values + noise)
     return replace(record, torque=torque, motor_position=None, load_position=None)
 
@@ -51,6 +50,13 @@ def widened(record, law=LAW):
     return {
         name: (abs(row.value - TRUE[name]), row.stderr, np.hypot(row.stderr, moved[name])) for name, row in rows.items()
     }, wider
+
+
+def test_an_interval_holds_a_spring_that_is_hardly_seen_not_to_be_linear():
+    declared = ji.ClosedLoop(JOINT, replace(LAW, undeclared="none", period=None))
+    cubic = replace(declared, joint=replace(JOINT, spring=ji.spring.Spring("cubic")))
+    row = ji.identify(logged(0.0, 4, 0.02, cubic, TRUE | {"cubic_stiffness": 4.46e8}), declared)["stiffness"]
+    assert abs(row.value - TRUE["stiffness"]) < 2 * row.deviation
 
 
 def test_intervals_hold_what_a_hidden_velocity_filter_moves():

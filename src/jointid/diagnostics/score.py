@@ -54,8 +54,7 @@ from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
 LEVEL = 0.02
 """Largest share of records without a fault in which one is found."""
-RARER = 10
-"""Times as rarely as one of the loop, a fault of the mechanics is found where there is none."""
+_RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
 _LAWS = 7  # other laws of a controller, that are tested beside the faults
@@ -135,7 +134,7 @@ def score(
         after = _give_back(rest, np.column_stack([basis, alone / column_norms(alone)]))
         influence = Influence(alone, after)
         same = [other.signature for other in group[1:] if other.signature.axis == signature.axis]
-        family = of_mechanics.count(fault.mechanical) * (RARER if fault.mechanical else 1)
+        family = of_mechanics.count(fault.mechanical) * (_RARER if fault.mechanical else 1)
         tests = shapes[signature.axis, fault] * family
 
         def judge(std: float) -> FaultTest:

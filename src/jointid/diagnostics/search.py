@@ -46,7 +46,7 @@ from jointid.diagnostics.changes import (
     list_variants,
 )
 from jointid.diagnostics.model_free import excludes
-from jointid.diagnostics.score import LEVEL, RARER, RIVAL, SolvedLoop, score
+from jointid.diagnostics.score import LEVEL, RIVAL, SolvedLoop, score
 from jointid.diagnostics.suspects import (
     LIMIT,
     LOG_GAIN,
@@ -69,6 +69,7 @@ from jointid.uncertainty.position_dependent_error import cells
 
 MOST = 3
 """Faults of one axis, at most."""
+_NEAR = 0.5  # p-value of a fault of the mechanics that one in twenty healthy joints has
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
@@ -116,7 +117,7 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
             findings.append(finding)
         else:
             # The p-values of the mechanics are those of a tenth of the level: what is near it is not named.
-            near = (one for one in found.tests if one.fault.mechanical and LEVEL < one.p_value <= RARER * LEVEL)
+            near = (one for one in found.tests if one.fault.mechanical and LEVEL < one.p_value <= _NEAR)
             likely = [*itertools.islice(near, 1), *(() if findings else found.excluded[:1])]
             suspected = [*(_find(found, one)[0] for one in likely), *find_undecided(found, laws)]
             break

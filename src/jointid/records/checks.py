@@ -71,7 +71,7 @@ def range_faults(position: Channel, limits: tuple[float, float]) -> Iterator[str
     if travel > _BEYOND * room > 0:
         yield (
             f"The position travels {travel:.3g} {position.unit} within limits of {limits[0]:.3g} to {limits[1]:.3g} "
-            f"{position.unit}; check its unit, its gain and the side of its gear, or the limits of the model."
+            f'{position.unit}; give its unit ("deg" of degrees), its gain, the side of its gear, or other limits.'
         )
 
 
