@@ -42,8 +42,7 @@ def test_a_signal_that_is_switched_while_the_axis_rests_too_is_an_injected_one()
     assert 0.1 < np.mean(MOVES) < 0.9
     message = find_plain_cause(logged(switched(while_it_moves=False)))
     assert message is not None and message.code is Reason.CAUSE_FOUND
-    assert message.values["causes"][0]["cause"] == "injected"
-    assert message.values["causes"][0]["value"] == 150
+    assert [(one["cause"], one["value"]) for one in message.values["causes"]] == [("injected", 150)]
 
 
 def test_steps_of_a_torque_that_rests_with_the_reference_are_the_drive_s_own() -> None:
@@ -163,10 +162,8 @@ def test_parts_in_which_the_drive_is_off_are_named_with_their_times() -> None:
     torque, position = record.torque.values.copy(), record.motor_position.values.copy()
     count = 1500
     torque[:count], position[:count] = 0.0, position[count]
-    off = record.with_channels({
-        "torque": replace(record.torque, values=torque),
-        "motor_position": replace(record.motor_position, values=position),
-    })  # fmt: skip
+    values = {"torque": torque, "motor_position": position}
+    off = record.with_channels({n: replace(getattr(record, n), values=one) for n, one in values.items()})
     message = find_parts_off(off)
     assert message is not None and message.values["causes"][0]["cause"] == "drive_off"
     ((begin, end),) = message.values["parts"]

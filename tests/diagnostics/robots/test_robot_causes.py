@@ -77,18 +77,15 @@ def test_a_spring_is_named_at_its_joint_in_spite_of_noise(joint: int) -> None:
     ]
     found = diagnosed(robot, records)
     named = [(axis.name, one.test.name) for axis in found.axes for one in axis.faults.findings]
-    assert named[0] == (f"joint{joint + 1}", "compliance") and (
-        joint == 0 or {fault for _, fault in named} == {"compliance"}
-    )
+    assert named[0] == (f"joint{joint + 1}", "compliance")
+    assert joint == 0 or {fault for _, fault in named} == {"compliance"}
 
 
 def test_a_position_that_is_its_reference_is_named() -> None:
     records = list(records_of(arm(3), 2, noise=0.02))
     records[1] = replace(records[1], reference=records[1].motor_position)
     found = diagnosed(arm(3), records)
-    assert found.cause is not None and (found.cause.name, found.cause.joints) == (
-        "reference_is_position", ("joint2",)
-    )  # fmt: skip
+    assert found.cause is not None and found.cause.name == "reference_is_position" and found.cause.joints == ("joint2",)
     assert "identify again" in found.sentences[0]
     way, gain = (Finding(FaultTest(fault, (), 0.0, 1.0, 0.0, 0.0), None, (), {}) for fault in (AVERAGED, LOG_GAIN))
     faults = replace(found.axes[0].faults, findings=(way, gain))
