@@ -13,7 +13,7 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter
 
@@ -25,7 +25,8 @@ _RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide:
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
-_THERE = 1e-2  # of a tolerance
+_SAME = 0.1  # of what a linear model missed: a kink explains the rest
+_HELD = 1e4  # times what a column of norm 1 weighs: a step is held to a kink
 _LARGEST = 1e140  # of a residual and its derivatives: those of a loop that runs away have no squares
 
 
@@ -44,19 +45,22 @@ class Problem(Protocol):
 
 
 class Status(Enum):
-    """Why a solver ended."""
+    """Why a solver ended, as a sentence for its numbers."""
 
-    STEP = "the parameters changed by less than the tolerance"
-    COST = "the criterion changed by less than the tolerance"
-    EXACT = "the measurement is reproduced to rounding"
-    EVALUATION_LIMIT = "the limit on evaluations was reached"
-    NO_DESCENT = "no step lowers the criterion, and yet it is not flat there"
-    NOT_EVALUABLE = "the criterion cannot be evaluated at the start"
+    STEP = "converged: the parameters changed by less than {tolerance:g} %"
+    COST = "converged: the criterion changed by less than {tolerance:g} %"
+    WORTH = "converged: another step promises to lower the criterion by less than {worth:.2g} %"
+    ROUNDING = "converged: steps change the criterion by no more than rounding"
+    ENOUGH = "converged: what is left is no more than the problem itself may err"
+    EXACT = "the torque is reproduced to rounding"
+    EVALUATION_LIMIT = "not converged after {evaluations} evaluations"
+    NO_DESCENT = "not converged: no step lowers the criterion after {evaluations} evaluations"
+    NOT_EVALUABLE = "not converged: the criterion cannot be evaluated at the start"
 
     @property
     def converged(self) -> bool:
         """Whether the solver succeeded."""
-        return self in (Status.STEP, Status.COST, Status.EXACT)
+        return self not in (Status.EVALUATION_LIMIT, Status.NO_DESCENT, Status.NOT_EVALUABLE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,8 +88,7 @@ class Solution:
         x: the free parameters.
         residual: there, (rows,).
         jacobian: its derivatives, (rows, free).
-        status: why it ended.
-        message: the same with this solver's numbers, in a sentence.
+        status: why it ended. message: the same with the solver's numbers.
         trace: the steps that led there.
         evaluations: of the problem.
         starts: how many starts led there, of how many.
@@ -124,11 +127,6 @@ class Counted:
         self.problem, self.tally = problem, tally or Tally()
         self._last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = None
 
-    @classmethod
-    def of(cls, problem: Problem) -> Counted:
-        """Wrap a problem, unless it counts already."""
-        return problem if isinstance(problem, cls) else cls(problem)
-
     @property
     def evaluations(self) -> int:
         """Evaluations so far, of all problems that share the tally."""
@@ -156,9 +154,6 @@ class Counted:
         self._last = (x.copy(), (residual, derivatives))
 
 
-_CHANGED = {Status.STEP: "the parameters", Status.COST: "the criterion"}
-
-
 @dataclass(frozen=True, slots=True)
 class LevenbergMarquardt:
     """Settings of bounded least squares by Levenberg-Marquardt.
@@ -179,76 +174,101 @@ class LevenbergMarquardt:
     worth: float = 0.0
     enough: float = 0.0
 
-    def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Run one descent; the trace begins with the start."""
-        counted, bounds, x = Counted.of(problem), Bounds.of(problem.free), start
-        before = counted.evaluations
-        error, J = counted.linearise(x)
-        trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
-        message = ""
-        usable = J.any() and _have_squares(error, J)
-        status, reach, share, idle, refused = None if usable else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
-        while status is None and used < self.evaluations and trace[-1].norm > self.enough:
-            norm = trace[-1].norm
-            step = damped_step(error, J, bounds.shift_to(x, reach), damping, bounds.upper - bounds.lower)
-            cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
-            worthless = self.worth > 0.0 and damping <= _DAMPING and not cut
-            if worthless and _gain(norm, error + J @ step) <= self.worth:
-                status = Status.COST
-                message = (
-                    f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
-                )
-                break
-            after, slopes = counted.linearise(x + step)
-            used += 1
-            gained = _gain(norm, after) if _have_squares(after, slopes) else -math.inf
-            refused = 0 if gained > 0.0 else refused + 1
-            small = bool(np.all(np.abs(step) <= self.tolerance * np.abs(x)))
-            if gained > 0.0:
-                x, error, J = x + step, after, slopes
-                trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
-                watch(trace[-1])
-            # A step that had to be damped or cut so much is short for another reason than that the end is near.
-            if damping <= 1.0 and small and not cut:
-                status = Status.STEP
-            elif damping <= 1.0 and abs(gained) <= self.tolerance and not cut:
-                status = Status.COST
-            elif gained <= 0.0:
-                # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
-                limit = self.tolerance if refused < _PATIENCE else max(self.tolerance, _RESOLVED)
-                if _at_minimum(bounds, x, error, J, limit / _THERE):
-                    status, message = Status.COST, "converged: steps change the criterion by no more than rounding"
-            if status is None and damping >= _MOST:
-                status = Status.NO_DESCENT
-            # Steps with a reach, long or short, that all change nothing have come to the end.
-            idle = idle + 1 if reach is not None and abs(gained) <= self.tolerance else 0
-            status = Status.COST if status is None and idle >= _PATIENCE else status
-            if reach is not None and self.reach is not None:
-                moved = float(np.max(np.abs(step) / self.reach))
-                shorter = max(_SHORTER * min(moved, share), _NEAREST)
-                share = min(_FARTHER * share, 1.0) if gained > 0.0 else shorter
-                reach = share * self.reach
-            damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
-        enough = status is not Status.NOT_EVALUABLE and trace[-1].norm <= self.enough
-        status = Status.COST if enough else status or Status.EVALUATION_LIMIT
-        if enough:
-            message = "converged: what is left is no more than the problem itself may err"
-        message = message or explain(status, used, self.tolerance)
-        return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
+
+def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Watch = lambda _: None) -> Solution:
+    """Solve a problem from a start; the trace begins with it.
+
+    Args:
+        problem: left unchanged; a `Counted` one keeps its count and cache.
+        solver: the settings.
+        start: (free,), clipped to the bounds.
+        watch: callback for every step.
+    """
+    counted = problem if isinstance(problem, Counted) else Counted(problem)
+    bounds = Bounds.of(problem.free)
+    x, before, widths = bounds.clip(start), counted.evaluations, bounds.upper - bounds.lower
+    error, J = counted.linearise(x)
+    trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
+    status = None if J.any() and math.isfinite(_gain(1.0, error, J)) else Status.NOT_EVALUABLE
+    share, idle, refused = 1.0, 0, 0
+    while status is None and used < solver.evaluations and trace[-1].norm > solver.enough:
+        norm, reach = trace[-1].norm, None if solver.reach is None else share * solver.reach
+        room = bounds.shift_to(x, reach)
+        step = damped_step(error, J, room, damping, widths)
+        cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
+        if solver.worth > 0.0 and damping <= _DAMPING and not cut and _gain(norm, error + J @ step) <= solver.worth:
+            status = Status.WORTH
+            break
+        after = counted.linearise(x + step)
+        used, gained = used + 1, _gain(norm, *after)
+        kink = _find_kink(error, J, step, *after) if -math.inf < gained <= 0.0 else None
+        if kink is not None and used < solver.evaluations:
+            beside = damped_step(error, J, room, damping, widths, kink)
+            there = counted.linearise(x + beside)
+            used, by = used + 1, _gain(norm, *there)
+            if by > gained:
+                step, after, gained = beside, there, by
+        refused = 0 if gained > 0.0 else refused + 1
+        small = bool(np.all(np.abs(step) <= solver.tolerance * np.abs(x)))
+        if gained > 0.0:
+            x, (error, J) = x + step, after
+            trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
+            watch(trace[-1])
+        # A step that had to be damped or cut so much is short for another reason than that the end is near.
+        if damping <= 1.0 and small and not cut:
+            status = Status.STEP
+        elif damping <= 1.0 and abs(gained) <= solver.tolerance and not cut:
+            status = Status.COST
+        elif gained <= 0.0:
+            # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
+            limit = solver.tolerance if refused < _PATIENCE else max(solver.tolerance, _RESOLVED)
+            if _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
+                status = Status.ROUNDING
+        # Steps with a reach, long or short, that all change nothing have come to the end.
+        idle = idle + 1 if reach is not None and abs(gained) <= solver.tolerance else 0
+        if status is None and (idle >= _PATIENCE or damping >= _MOST):
+            status = Status.COST if idle >= _PATIENCE else Status.NO_DESCENT
+        if solver.reach is not None:
+            shorter = max(_SHORTER * min(float(np.max(np.abs(step) / solver.reach)), share), _NEAREST)
+            share = min(_FARTHER * share, 1.0) if gained > 0.0 else shorter
+        damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
+    if status is not Status.NOT_EVALUABLE and trace[-1].norm <= solver.enough:
+        status = Status.ENOUGH
+    status = status or Status.EVALUATION_LIMIT
+    message = status.value.format(tolerance=100 * solver.tolerance, worth=100 * solver.worth, evaluations=used)
+    return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 
 
-def _gain(norm: float, after: FloatArray) -> float:
-    """Relative decrease of the criterion from a residual's norm to another residual."""
+def _gain(norm: float, after: FloatArray, *slopes: FloatArray) -> float:
+    """Relative decrease of the criterion from a residual's norm; minus infinity where squares are not numbers."""
+    if not all(bool(np.all(np.abs(array) < _LARGEST)) for array in (after, *slopes)):
+        return -math.inf
     return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
 
 
-def _have_squares(*arrays: FloatArray) -> bool:
-    """Test whether arrays are numbers that can be squared and summed."""
-    return all(bool(np.all(np.abs(array) < _LARGEST)) for array in arrays)
+def _find_kink(
+    error: FloatArray, J: FloatArray, step: FloatArray, after: FloatArray, slopes: FloatArray
+) -> tuple[FloatArray, float] | None:
+    """Return n and d of the kink ``n s = d`` that a step crosses, from residual and derivatives at both ends.
+
+    Friction that begins to slip adds ``u max(n s - d, 0)`` to the residual, and ``u n`` to its derivatives. The least
+    of the criterion often lies at such a kink, and shorter steps only creep towards it.
+    """
+    jump = slopes - J
+    turned, missed = jump @ step, after - error - J @ step
+    square = float(turned @ turned)
+    behind = float(turned @ missed) / square if 0.0 < square < math.inf else 0.0  # the part of the step
+    explained = np.linalg.norm(missed - behind * turned) <= _SAME * np.linalg.norm(missed)
+    return (turned @ jump / square, 1.0 - behind) if explained and 0.0 < behind <= 1.0 + _SAME else None
 
 
 def damped_step(
-    error: FloatArray, J: FloatArray, room: Bounds, damping: float = 0.0, widths: FloatArray | float = math.inf
+    error: FloatArray,
+    J: FloatArray,
+    room: Bounds,
+    damping: float = 0.0,
+    widths: FloatArray | float = math.inf,
+    kink: tuple[FloatArray, float] | None = None,
 ) -> FloatArray:
     """Minimise ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the column norms.
 
@@ -258,6 +278,7 @@ def damped_step(
         room: bounds of the step.
         damping: factor of the penalty.
         widths: (free,) distances between the bounds of each parameter.
+        kink: n and d of a plane ``n s = d`` in which the step ends.
     """
     from scipy.optimize import lsq_linear
 
@@ -268,35 +289,12 @@ def damped_step(
     triangle = np.asarray(np.linalg.qr(np.column_stack([J / norms, error]), mode="r"))[: norms.size]
     matrix = np.vstack([triangle[:, :-1], np.sqrt(damping) * np.eye(norms.size)])
     target = np.concatenate([-triangle[:, -1], np.zeros(norms.size)])
+    if kink is not None:
+        normal, distance = kink[0] / norms, kink[1]
+        held = _HELD / np.linalg.norm(normal)
+        matrix, target = np.vstack([matrix, held * normal]), np.append(target, held * distance)
     found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")
     return room.clip(found.x / norms)
-
-
-def _at_minimum(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
-    """Test whether the possible gain is within rounding of the tolerance."""
-    moving = ~bounds.find_blocking(x, -(J.T @ error))
-    columns = J[:, moving] / column_norms(J[:, moving])
-    step = np.linalg.lstsq(columns, error, rcond=1e-12)[0]
-    return bool(np.sum((columns @ step) ** 2) < _THERE * tolerance * max(float(error @ error), 1e-300))
-
-
-def explain(status: Status, evaluations: int, tolerance: float) -> str:
-    """Return why least squares ended, in a sentence with its numbers."""
-    if status in _CHANGED:
-        return f"converged: {_CHANGED[status]} changed by less than {100 * tolerance:g} %"
-    return f"not converged after {evaluations} evaluations"
-
-
-def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Watch = lambda _: None) -> Solution:
-    """Solve a problem from a start.
-
-    Args:
-        problem: left unchanged; a `Counted` one keeps its count and cache.
-        solver: with its settings.
-        start: (free,), clipped to the bounds.
-        watch: callback for every step.
-    """
-    return solver.solve(problem, Bounds.of(problem.free).clip(start), watch)
 
 
 # Linear least squares by QR
