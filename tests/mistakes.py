@@ -280,7 +280,7 @@ MISTAKES = (
 
 PAIRS = (
     _mistake(
-        "torque twice as large, position_gain twice as large", "torque_scale law_gain position_gain",
+        "torque twice as large, position_gain twice as large", "torque_scale law_gain position_gain sample_time",
         _twice("position_gain"), log("torque", lambda x: 2.0 * x),
     ),
     _mistake(
@@ -407,7 +407,7 @@ _GEARED = (
     _mistake("gear ratio ten times as small", "reference_scale", _other_ratio, _BARE),
 )
 _MILLISECONDS = declares(integral_gain=lambda one: one.law.integral_gain / 1000)
-_INTEGRAL = _mistake("integral time in ms, in s", "integral_gain", _MILLISECONDS, _BARE, said="1000 times")
+_INTEGRAL = _mistake("integral time in ms, in s", "integral_gain", _MILLISECONDS, _BARE)
 SMOOTH = _mistake("friction smooth in the velocity", "presliding", _smooth, _BARE)
 
 
