@@ -15,14 +15,12 @@ from tests.solvers.nist import REGRESSIONS, Array, Certified
 TIGHT = 1e-13
 SOLVER = LevenbergMarquardt(TIGHT, 2000)
 DIGITS = 6.0  # of the worst parameter; the hardest, MGH09, gives 6.4
-RUNS_AWAY = {("BoxBOD", 0)}
-"""From far away a whole Gauss-Newton step leads to where nothing can be evaluated."""
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["far", "near"])
 @pytest.mark.parametrize("regression", REGRESSIONS, ids=lambda r: r.name)
 def test_least_squares_gives_the_certified_digits(regression: Certified, which: int) -> None:
-    if (regression.name, which) in RUNS_AWAY:
+    if (regression.name, which) == ("BoxBOD", 0):  # a whole step leads to where nothing can be evaluated
         return
     end = solve(regression, SOLVER, np.array(regression.starts[which]))
     assert regression.digits(end.x) > DIGITS
@@ -84,9 +82,8 @@ def test_a_step_that_promises_nothing_is_not_made() -> None:
 
 def test_a_curved_valley_is_followed_to_its_end() -> None:
     end = solve(Rosenbrock(), SOLVER, START)
-    assert end.converged
+    assert end.converged and end.evaluations < 120
     assert end.x == pytest.approx([1.0, 1e-12], rel=1e-6)
-    assert end.evaluations < 120
     norms = [step.norm for step in end.trace]
     assert all(after <= before for before, after in itertools.pairwise(norms))
 
@@ -110,9 +107,8 @@ class Sum(Rosenbrock):
 
 def test_parameters_that_cannot_be_told_apart_do_no_harm() -> None:
     end = solve(Sum(), SOLVER, np.array([1.0, 0.5]))
-    assert end.converged
+    assert end.converged and np.abs(end.x).max() < 10.0
     assert end.x.sum() == pytest.approx(4.0)
-    assert np.abs(end.x).max() < 10.0
 
 
 @dataclass(frozen=True)
@@ -171,8 +167,8 @@ class Kinked(Rosenbrock):
 def test_the_least_at_a_kink_is_found() -> None:
     """Along x = 1 - 0.3 y^2 the criterion is least where 2.2 y + 0.18 y^3 = 2."""
     end = solve(Kinked(), LevenbergMarquardt(1e-8), np.zeros(2))
-    assert end.converged and end.evaluations < 40
     x, y = end.x
+    assert end.converged and end.evaluations < 40
     assert x == pytest.approx(1.0 - 0.3 * y**2, abs=1e-6)
     assert 2.2 * y + 0.18 * y**3 == pytest.approx(2.0, abs=1e-3)
 
