@@ -78,7 +78,7 @@ def write_values(axes: Axes, x: float, across: int, rows: Sequence[EstimatedPara
         _write(axes, middle, y - _LINE, str(row), _INK, bold=True)
 
 
-def _write(axes: Axes, x: float, y: float, text: str, colour: str, *, bold: bool = False, across: int = 1) -> None:
+def _write(axes: Axes, x: float, y: float, text: str, colour: str, *, bold: bool = False, across: float = 1) -> None:
     """Write a line about the middle of some columns, smaller where it is long."""
     size = _POINTS * min(1.0, across * _LETTERS / len(text))
     axes.text(x, y, text, ha="center", fontsize=size, color=colour, weight="bold" if bold else "normal")
@@ -108,4 +108,4 @@ def draw_gear(axes: Axes, gear: Transmission) -> None:
     size = f"{gear.ratio:g}:1" if gear.ratio is not None else f"{1e3 * (gear.lead or 0.0):g} mm per turn"
     for x, points in ((_LEFT + 0.1, 11.0), (_LEFT + 0.32, 20.0)):
         axes.plot([x], [_BOX / 2], marker="o", markersize=points, markerfacecolor="white", color=_INK)
-    _write(axes, _LEFT + 0.2, -0.15, size, _INK, bold=True)
+    _write(axes, _LEFT + 0.2, -0.15, size, _INK, bold=True, across=0.5)

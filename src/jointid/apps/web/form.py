@@ -31,6 +31,7 @@ LAW, LEARN = "controller.law", "learn"
 
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
 _RATIO, _SIDE = "transmission.ratio", "record.channels.reference.side"
+_LABELS = {_SIDE: "These positions are of the", "gravity.load": "Gravity"}  # whose keys are no labels
 _SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # at once
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are shown at once
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
@@ -62,8 +63,7 @@ class Field:
     @property
     def label(self) -> str:
         """Its key in words."""
-        own = self.key.rpartition(".")[2].replace("_", " ").capitalize()
-        return "These positions are of the" if self.key == _SIDE else own
+        return _LABELS.get(self.key) or self.key.rpartition(".")[2].replace("_", " ").capitalize()
 
     @property
     def is_number(self) -> bool:

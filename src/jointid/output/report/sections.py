@@ -180,14 +180,15 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     estimate, tuned = given.estimate, given.tuned
     yield Heading("Result")
     yield from _result(given)
+    torque = Heading("Torque"), _picture(given, figures, "torque")
+    yield from torque if estimate.robot is not None else ()  # whose joints are seen first
     yield Heading("Parameters")
     yield from _part(estimate)
     if tuned is not None:
         yield Heading("Tuning")
         yield Paragraph(tuned.sentence)
         yield from tuned.proposal()
-    yield Heading("Torque")
-    yield _picture(given, figures, "torque")
+    yield from torque if estimate.robot is None else ()
     for check in given.checks:
         yield Heading(f"Prediction of {check.record}")
         yield from _part(check)
