@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from jointid.models.robots.dynamics import regressor
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties, mass_properties
 from jointid.models.robots.robot import Link, Robot, RobotJoint, Tree
 
@@ -110,9 +110,7 @@ def order_in_mujoco(mujoco: Any, model: Any, robot: Robot) -> list[int]:
 
 def torque_by_regressor(tree: Tree, inertials: Array, q: Array, v: Array, a: Array) -> Array:
     """Return the torque of one motion, (n,), from the regressor: it shares nothing with `equations`."""
-    columns = np.empty((q.size, 10 * q.size))
-    regressor(tree, q, v, a, columns)
-    return np.asarray(columns @ inertials.ravel())
+    return inverse_dynamics(tree, inertials, *(one[np.newaxis] for one in (q, v, a)))[0]
 
 
 def mass_matrix_by_regressor(tree: Tree, inertials: Array, q: Array) -> Array:
