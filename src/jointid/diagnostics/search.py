@@ -462,6 +462,6 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
 
 def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Message | None:
     """Return the part of the time in which a joint does not follow its solved problem, or None."""
-    residual, own = problem.linearise(x)
+    residual = problem.residual(x)
     time = np.linspace(0.0, problem.measured.size * problem.sample_time, residual.size)
-    return find_part(residual, orthonormal_basis(own, ROUNDING), time)
+    return find_part(residual, np.zeros((residual.size, 1)), time)  # its columns hold near the solution alone
