@@ -252,8 +252,8 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
     """Refuse a method that does not fit the joint or lacks its controller."""
     if method.needs_controller and loop is None:
         raise MethodError(
-            f"{method.title} simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM "
-            "with a motor_position."
+            f"{method.title} simulates the closed loop, so it needs the controller; add [controller] or use "
+            "learn-controller (in Python give a ClosedLoop), or use IDIM with a motor_position."
         )
     method.require_settings_of(joint.model)
     if not method.needs_controller:
