@@ -7,7 +7,7 @@ worth.
 Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
 the motion (`position_dependent_error`). Where the records disagree by more than their intervals allow, the answer says
 so and widens what they share (`result.agreement`). What moves a record's own solution, beside noise
-(`uncertainty_of_least_error`), moves the common one as far as the record weighs in it, and widens that.
+(`widen_for_force`, `widened_to_second`), moves the common one as far as the record weighs in it, and widens that.
 
 A parameter of a record is one that all share, or that plus a number that is known, or its own, called ``name@number``
 with the number of the record, from 1. The motor's first state is always a record's own; so is a number of the

@@ -9,7 +9,7 @@ leads a descent with the motor at rest at the first sample, and from the best en
 The paper steps to a fixed point instead, where least squares on the inverse dynamic regressor W of the simulated
 motion changes nothing any more [P section IV.A]. Where the model leaves something out, the least torque error and that
 fixed point lie further apart than the deviations of either; the interval is then widened to hold both
-(`uncertainty_of_least_error`).
+(`widened_to_second`).
 
 **A flexible joint.** The load is not controlled, so the regressor on the simulated motion is no approximation of the
 Jacobian [P section IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque,
@@ -37,7 +37,7 @@ from jointid.estimation.descent import (
     from_linear_laws,
     search_rigid_joint,
 )
-from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error, widen_for_force
+from jointid.estimation.methods.force_in_loop import widen_for_force
 from jointid.estimation.methods.registry import (
     EVALUATIONS,
     FREQUENCIES,
@@ -50,7 +50,14 @@ from jointid.estimation.methods.registry import (
 )
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, require_free, torque_problem
-from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem, warn_of_limit
+from jointid.estimation.result.estimate import (
+    Estimate,
+    Settings,
+    build_estimate,
+    find_active_bounds,
+    rows_of_problem,
+    warn_of_limit,
+)
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks
 from jointid.estimation.rigid_starts import rigid_starts
@@ -61,7 +68,7 @@ from jointid.simulation.plant import DELAY
 from jointid.solvers.solve import refuse_idle
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import identifiability
-from jointid.uncertainty.model_tests import whiteness
+from jointid.uncertainty.model_tests import whiteness, widened_to_second
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _FLEXIBLE = ("flexible",)
@@ -132,14 +139,18 @@ class DIDIM(Method):
         if task.joint.model == "rigid":
             joint = problem.free_joint
             refuse_idle(J[:, : len(joint)], tuple(p.name for p in joint))
-            known, spring = uncertainty_of_least_error(problem, x, run, error, -J), None
-        else:
-            if np.linalg.norm(error) > NOTHING * problem.size:
-                end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
-            known = uncertainty(Influence(J, error), problem.cells(run))
-            spring = visible(problem, x, J, known, starts, history.progress)
-            if spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
-                known, _ = widen_for_force(known, problem, x, -J)
+        elif np.linalg.norm(error) > NOTHING * problem.size:
+            end = f"no answer: the search ended where the model explains little of the torque ({end[0]})", False
+        known = uncertainty(Influence(J, error), problem.cells(run))
+        flexible = task.joint.model == "flexible"
+        spring = visible(problem, x, J, known, starts, history.progress) if flexible else None
+        if spring is None or spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
+            known, _ = widen_for_force(known, problem, x, -J)
+        if not flexible and problem.joint.friction.linear:  # else no regressor is linear
+            columns, own = problem.joint.regressor(run.motor)[0], problem.parameters[: len(problem.joint.parameters)]
+            Z, held = problem.filter(columns[:, [p.free for p in own]]), find_active_bounds(problem.free, x, error, J)
+            Z = np.hstack([Z, -J[:, Z.shape[1] :]])
+            known = widened_to_second(known, Z, -J, error, np.array([p.name not in held for p in problem.free]))
         filtering = problem.filtering
         assert filtering.cutoff is not None
         white = whiteness(error, problem.sample_time * (filtering.decimation or 1), filtering.cutoff)

@@ -32,16 +32,13 @@ from jointid.common.messages import Message
 from jointid.common.parameters import Bounds
 from jointid.common.text import number
 from jointid.estimation.problems.simulated import ClosedLoopProblem
-from jointid.estimation.result.estimate import find_active_bounds
 from jointid.estimation.spring_search import crossover
-from jointid.models.joints import RigidJoint
 from jointid.models.linear import frequency_response
 from jointid.simulation.loop_input import AxisInput
 from jointid.simulation.simulate import Outcome, Simulation
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import Limitation
-from jointid.uncertainty.model_tests import widened_to_second
-from jointid.uncertainty.position_dependent_error import RESTING, Uncertainty, uncertainty
+from jointid.uncertainty.position_dependent_error import RESTING, Uncertainty
 
 MATTERS, TOLD = 0.25, 1.0  # deviations: a smaller shift widens no interval, and a larger one is said
 _PAIRS = 4  # of opposite forces that are simulated
@@ -80,29 +77,6 @@ class RandomForce:
         size = np.sqrt(samples * np.interp(hertz, self.hertz, self.power))
         turn = np.exp(2j * math.pi * random.uniform(size=hertz.size))
         return np.fft.irfft(size * turn, samples)
-
-
-def uncertainty_of_least_error(
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    run: Simulation,
-    residual: FloatArray,
-    J: FloatArray,
-) -> Uncertainty:
-    """Return the uncertainty of the free parameters at a least torque error.
-
-    Beside noise: what a random force in the loop moves, and, of a rigid joint with linear laws, how far the fixed point
-    of its regressor lies away where noise does not explain that (`second_solution`). At x, (free,), `run` is of the
-    loop, `residual`, (rows,), filtered, and J, (rows, free), has the derivatives of the simulated torque, filtered.
-    """
-    known, _ = widen_for_force(uncertainty(Influence(J, residual), problem.cells(run)), problem, x, J)
-    if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
-        return known
-    held = find_active_bounds(problem.free, x, residual, J)
-    columns, own = problem.joint.regressor(run.motor)[0], problem.parameters[: len(problem.joint.parameters)]
-    W = problem.filter(columns[:, [p.free for p in own]])
-    freely = np.array([p.name not in held for p in problem.free])
-    return widened_to_second(known, np.hstack([W, J[:, W.shape[1] :]]), J, residual, freely)
 
 
 def widen_for_force(
