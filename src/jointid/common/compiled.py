@@ -64,9 +64,9 @@ def hash_kernels() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
-def compile_kernel(function: F) -> F:
-    """Compile with Numba: cached on disk if possible, without the GIL, with fused multiply-add."""
-    kernel: Any = _njit(function)
+def compile_kernel(function: F, **options: bool) -> F:
+    """Compile with Numba: cached on disk if possible, without the GIL, with fused multiply-add; see `inline_kernel`."""
+    kernel: Any = _njit(function, **options)
     if kernel is not function:  # Numba may be configured not to compile
         with contextlib.suppress(RuntimeError, OSError):  # there is no such folder, or there are no files of sources
             kernel._cache = KernelCache(function)

@@ -19,6 +19,7 @@ All arrays are contiguous, of float64 and int64; nothing is checked here (`robot
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -34,8 +35,8 @@ REVOLUTE = 0
 PARAMETERS = 10
 """Inertial parameters of a link."""
 # Columns of the scratch: rotation, row by row, and origin; twists of the joint, of velocity and of acceleration,
-# and how the joint's turns. What follows is free for `equations`.
-ORIGIN, JOINT, VELOCITY, ACCELERATION, TURNING, FREE = 9, 12, 18, 24, 30, 36
+# how the joint's turns, and its position, velocity and acceleration. What follows is free for `equations`.
+ORIGIN, JOINT, VELOCITY, ACCELERATION, TURNING, MOTION, FREE = 9, 12, 18, 24, 30, 36, 39
 
 
 @inline_kernel
@@ -88,8 +89,8 @@ def inertia_times(body: FloatArray, i: int, j: int, a: Vector) -> Vector:
 
 
 @inline_kernel
-def move_outwards(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
-    """Write frames, twists of joints, velocities and accelerations, all seen from the base."""
+def move_outwards(tree: Tree, room: FloatArray) -> None:
+    """Write frames, twists of joints, velocities and accelerations, all seen from the base; the scratch has MOTION."""
     parents, kinds, axes, rotations, origins = tree.parents, tree.kinds, tree.axes, tree.rotations, tree.origins
     gravity = tree.gravity
     for i in range(parents.size):
@@ -107,16 +108,16 @@ def move_outwards(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room:
         x = dot(x, first), dot(x, second), dot(x, third)
         y = dot(y, first), dot(y, second), dot(y, third)
         z = dot(z, first), dot(z, second), dot(z, third)
-        axis = get(axes, i, 0)
+        axis, (q, v, a) = get(axes, i, 0), get(room, i, MOTION)
         s = rotate(x, y, z, axis)
         if kinds[i] == REVOLUTE:
-            cosine, sine = math.cos(q[i]), math.sin(q[i])
+            cosine, sine = math.cos(q), math.sin(q)
             x = _about(x, axis, cosine, sine, s[0])
             y = _about(y, axis, cosine, sine, s[1])
             z = _about(z, axis, cosine, sine, s[2])
             turns, slides = s, cross(p, s)
         else:
-            p = add(p, times(q[i], s))
+            p = add(p, times(q, s))
             turns, slides = ZERO, s
         put(room, i, 0, x)
         put(room, i, 3, y)
@@ -127,10 +128,10 @@ def move_outwards(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room:
         turning, sliding = cross(w, turns), add(cross(w, slides), cross(u, turns))
         put(room, i, TURNING, turning)
         put(room, i, TURNING + 3, sliding)
-        put(room, i, VELOCITY, add(w, times(v[i], turns)))
-        put(room, i, VELOCITY + 3, add(u, times(v[i], slides)))
-        put(room, i, ACCELERATION, add(dw, add(times(v[i], turning), times(a[i], turns))))
-        put(room, i, ACCELERATION + 3, add(du, add(times(v[i], sliding), times(a[i], slides))))
+        put(room, i, VELOCITY, add(w, times(v, turns)))
+        put(room, i, VELOCITY + 3, add(u, times(v, slides)))
+        put(room, i, ACCELERATION, add(dw, add(times(v, turning), times(a, turns))))
+        put(room, i, ACCELERATION + 3, add(du, add(times(v, sliding), times(a, slides))))
 
 
 @inline_kernel
@@ -146,21 +147,19 @@ def _to_link(room: FloatArray, i: int, a: Vector) -> Vector:
     return add(times(a[0], x), add(times(a[1], y), times(a[2], z)))
 
 
-@compile_kernel
-def regressor(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, out: FloatArray) -> None:
-    """Fill `out`, (n, 10 n), with the regressor: times the inertials, link by link, it is the torque.
+@partial(compile_kernel, _nrt=False)
+def regressor(tree: Tree, room: FloatArray, out: FloatArray) -> None:
+    """Fill `out`, (n, 10 n), with the regressor: times the inertials, link by link, it is the joints' torque.
 
     Args:
         tree: of the links.
-        q: (n,) rad or m.
-        v: (n,) rad/s or m/s.
-        a: (n,) rad/s2 or m/s2.
-        out: (n, 10 n) N m or N per unit of each parameter.
+        room: what `move_outwards` has written.
+        out: N m or N per unit of each parameter.
     """
-    room = np.empty((q.size, FREE))
-    move_outwards(tree, q, v, a, room)
-    out[:] = 0.0
-    for link in range(q.size):
+    for i in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            out[i, column] = 0.0
+    for link in range(out.shape[0]):
         p, spun, turned = get(room, link, ORIGIN), get(room, link, VELOCITY), get(room, link, ACCELERATION)
         speed = add(get(room, link, VELOCITY + 3), cross(spun, p))
         lifted = add(get(room, link, ACCELERATION + 3), add(cross(turned, p), cross(spun, speed)))
@@ -187,9 +186,12 @@ def regressor(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, out: Floa
 def regressor_of(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
     """Return the regressor of a motion, (samples, n, 10 n); its arguments are (samples, n)."""
     samples, n = q.shape
-    out = np.empty((samples, n, PARAMETERS * n))
+    out, room = np.empty((samples, n, PARAMETERS * n)), np.empty((n, FREE))
     for t in range(samples):
-        regressor(tree, q[t], v[t], a[t], out[t])
+        for i in range(n):
+            put(room, i, MOTION, (q[t, i], v[t, i], a[t, i]))
+        move_outwards(tree, room)
+        regressor(tree, room, out[t])
     return out
 
 

@@ -25,14 +25,15 @@ scratch, (n, ROOM).
 
 from __future__ import annotations
 
-import numpy as np
+from functools import partial
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compile_kernel, inline_kernel
+from jointid.common.compiled import compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import (
     ACCELERATION,
     FREE,
     JOINT,
+    MOTION,
     ORIGIN,
     TURNING,
     VELOCITY,
@@ -58,30 +59,29 @@ ROOM = FREE + 28
 _MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = (FREE + column for column in (0, 1, 4, 10, 16, 25))
 
 
-@compile_kernel
-def of_joints(joints: FloatArray, values: FloatArray) -> FloatArray:
-    """Return positions or velocities of the joints from those of the shafts."""
-    out = np.zeros(values.size)
-    for i in range(values.size):
-        for j in range(values.size):
-            out[i] += joints[i, j] * values[j]
-    return out
+@inline_kernel
+def _move(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
+    """Write the motion of the links into the scratch, from that of the shafts."""
+    for i in range(q.size):
+        motion = (q[i], v[i], a[i])
+        if tree.joints.shape[0] > 0:
+            motion = ZERO
+            for j in range(q.size):
+                motion = add(motion, times(tree.joints[i, j], (q[j], v[j], a[j])))
+        put(room, i, MOTION, motion)
+    move_outwards(tree, room)
 
 
-@compile_kernel
-def to_shafts(joints: FloatArray, matrix: FloatArray) -> None:
-    """Take a matrix of the joints, torques by positions, to one of the shafts, in place."""
-    n = len(joints)
-    half = np.zeros((n, n))
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                half[i, j] += matrix[i, k] * joints[k, j]
-    for i in range(n):
-        for j in range(n):
-            matrix[i, j] = 0.0
-            for k in range(n):
-                matrix[i, j] += joints[k, i] * half[k, j]
+@inline_kernel
+def to_shafts(joints: FloatArray, rows: FloatArray, room: FloatArray) -> None:
+    """Take rows of torques of the joints, or derivatives by their positions, to the shafts, in place."""
+    for i in range(rows.shape[0] if joints.shape[0] > 0 else 0):
+        for j in range(joints.shape[0]):
+            room[j, _FORCE] = 0.0
+            for k in range(joints.shape[0]):
+                room[j, _FORCE] += rows[i, k] * joints[k, j]
+        for j in range(joints.shape[0]):
+            rows[i, j] = room[j, _FORCE]
 
 
 @inline_kernel
@@ -130,17 +130,14 @@ def _accumulate(room: FloatArray, i: int, parent: int, first: int, last: int) ->
         room[parent, column] += room[i, column]
 
 
-@compile_kernel
+@partial(compile_kernel, _nrt=False)
 def equations_of_motion(
     tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
     M: FloatArray, torque: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the mass matrix, (n, n), and the torques of a motion, (n,)."""
-    parents, joints = tree.parents, tree.joints
-    n, coupled = parents.size, joints.shape[0] > 0
-    if coupled:
-        q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
-    move_outwards(tree, q, v, a, room)
+    parents, joints, n = tree.parents, tree.joints, tree.parents.size
+    _move(tree, q, v, a, room)
     for i in range(n):
         _body(inertials, i, room)
         _force(room, i)
@@ -156,9 +153,9 @@ def equations_of_motion(
             j = parents[j]
         if parents[i] >= 0:
             _accumulate(room, i, parents[i], _MASS, _W)
-    if coupled:
-        to_shafts(joints, M)
-        assign(torque, of_joints(joints.T, torque))
+    to_shafts(joints, torque.reshape((1, n)), room)
+    to_shafts(joints, M, room)
+    to_shafts(joints, M.T, room)
 
 
 @inline_kernel
@@ -192,17 +189,14 @@ def _changing(room: FloatArray, i: int, parent: int, gravity: FloatArray) -> tup
     return add(cross(dw, s), cross(w, P)), add(add(cross(dw, t), cross(du, s)), add(cross(w, Q), cross(u, P)))
 
 
-@compile_kernel
+@partial(compile_kernel, _nrt=False)
 def linearised_equations(
     tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
     M: FloatArray, by_place: FloatArray, by_speed: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the mass matrix, and the derivatives of the torques by positions and by velocities, (n, n) each."""
-    parents, joints = tree.parents, tree.joints
-    n, coupled = parents.size, joints.shape[0] > 0
-    if coupled:
-        q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
-    move_outwards(tree, q, v, a, room)
+    parents, joints, n = tree.parents, tree.joints, tree.parents.size
+    _move(tree, q, v, a, room)
     for i in range(n):
         for j in range(n):
             M[i, j] = by_place[i, j] = by_speed[i, j] = 0.0
@@ -240,7 +234,6 @@ def linearised_equations(
             j = parents[j]
         if parents[i] >= 0:
             _accumulate(room, i, parents[i], _MASS, ROOM)
-    if coupled:
-        to_shafts(joints, M)
-        to_shafts(joints, by_place)
-        to_shafts(joints, by_speed)
+    for matrix in (M, by_place, by_speed):
+        to_shafts(joints, matrix, room)
+        to_shafts(joints, matrix.T, room)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import regressor
-from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
+from jointid.models.robots.equations import ROOM, linearised_equations, to_shafts
 from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
@@ -322,7 +322,7 @@ def follow(
     mass, spring, torque = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns)
     f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), kernels.MASS))
     room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
-    of_links, inverse, K, C, rows = Y.copy(), M.copy(), M.copy(), M.copy(), np.zeros((nd, count))
+    inverse, K, C, rows = M.copy(), M.copy(), M.copy(), np.zeros((nd, count))
     jumps = np.zeros(axes, dtype=np.bool_)
     for i in range(nd):
         assign(dq[i], first_q[i])
@@ -428,15 +428,9 @@ def follow(
                         r = rotors[j]
                         for c in range(count):
                             given[r, c] += (2.0 - f[_TAKES, r]) * dtau[j, c]
-                    if tree is not None and len(seeds.links) > 0 and len(tree.joints) > 0:
-                        joints = tree.joints
-                        regressor(
-                            tree, of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn), of_links
-                        )
-                        for c in range(10 * n):
-                            assign(Y[:, c], of_joints(joints.T, of_links[:, c]))
-                    elif tree is not None and len(seeds.links) > 0:
-                        regressor(tree, place, speed, turn, Y)
+                    if tree is not None and len(seeds.links) > 0:
+                        regressor(tree, room, Y)
+                        to_shafts(tree.joints, Y.T, room)
                     for e in range(len(seeds.links)):
                         for i in range(n):
                             given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
