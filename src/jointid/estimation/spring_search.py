@@ -11,10 +11,9 @@ For a joint these are tried, in order:
 4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
    first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
+   The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
 7. Where 10 % of the torque or more are left, the same from joints of other inertias, shares and modes.
-
-The drive side has no loop: its grid is measured by the cut-off, and it ends with step 5.
 
 A robot of rigid joints fixes sums: of both sides' friction, of rotor and link. These are split, what it says of each by
 how well it knows it, and each spring is given a frequency of rotor against link. The rest is the search of
@@ -316,6 +315,7 @@ def _explore(
     each = list(product(row, inertias, shares))
     starts = [start_with_mode(problem, {**rigid, "inertia": n * rigid["inertia"]}, f, share) for f, n, share in each]
     costs = in_threads(lambda start: float(np.linalg.norm(problem.residual(problem.vector(start)))), starts)
+    history.tally.evaluations += len(starts)
     found = dict[object, dict[str, float]]()
     for i in np.argsort(costs):
         if costs[i] < _UNSTABLE * problem.size:  # a start beside another leads nowhere new
