@@ -205,9 +205,8 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
         if kink is not None and used < solver.evaluations:
             beside = damped_step(error, J, room, damping, widths, kink)
             there = counted.linearise(x + beside)
-            used, by = used + 1, _gain(norm, *there)
-            if by > gained:
-                step, after, gained = beside, there, by
+            if (by := _gain(norm, *there)) > 0.0:
+                step, after, gained, used = beside, there, by, used + 1
         refused = 0 if gained > 0.0 else refused + 1
         small = bool(np.all(np.abs(step) <= solver.tolerance * np.abs(x)))
         if gained > 0.0:
@@ -220,9 +219,11 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
         elif damping <= 1.0 and abs(gained) <= solver.tolerance and not cut:
             status = Status.COST
         elif gained <= 0.0:
-            # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
+            # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing. Where
+            # the least lies at kinks, the linear model promises more, and even small steps do not go down.
             limit = solver.tolerance if refused < _PATIENCE else max(solver.tolerance, _RESOLVED)
-            if _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
+            held = small and gained >= -solver.tolerance
+            if held or _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
                 status = Status.ROUNDING
         # Steps with a reach, long or short, that all change nothing have come to the end.
         idle = idle + 1 if reach is not None and abs(gained) <= solver.tolerance else 0
@@ -259,7 +260,7 @@ def _find_kink(
     square = float(turned @ turned)
     behind = float(turned @ missed) / square if 0.0 < square < math.inf else 0.0  # the part of the step
     explained = np.linalg.norm(missed - behind * turned) <= _SAME * np.linalg.norm(missed)
-    return (turned @ jump / square, 1.0 - behind) if explained and 0.0 < behind <= 1.0 + _SAME else None
+    return (turned @ jump / square, max(1.0 - behind, 0.0)) if explained and 0.0 < behind <= 1.0 + _SAME else None
 
 
 def damped_step(
