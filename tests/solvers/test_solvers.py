@@ -152,27 +152,6 @@ def test_a_status_is_met(status: Status) -> None:
     assert PROVOKED[status]().status is status
 
 
-@dataclass(frozen=True)
-class Kinked(Rosenbrock):
-    """A residual that grows beyond a curve, on which the least lies, as where friction begins to slip."""
-
-    def linearise(self, x: Array) -> tuple[Array, Array]:
-        beyond = x[0] - 1.0 + 0.3 * x[1] ** 2
-        steep = 5.0 * (beyond > 0.0)
-        return np.array([x[0] - 3, x[1] - 2, 2 + steep * beyond]), np.array(
-            [[1, 0], [0, 1], [steep, 0.6 * steep * x[1]]]
-        )
-
-
-def test_the_least_at_a_kink_is_found() -> None:
-    """Along x = 1 - 0.3 y^2 the criterion is least where 2.2 y + 0.18 y^3 = 2."""
-    end = solve(Kinked(), LevenbergMarquardt(1e-8), np.zeros(2))
-    x, y = end.x
-    assert end.converged and end.evaluations < 40
-    assert x == pytest.approx(1.0 - 0.3 * y**2, abs=1e-6)
-    assert 2.2 * y + 0.18 * y**3 == pytest.approx(2.0, abs=1e-3)
-
-
 def test_evaluations_are_those_counted_and_steps_are_told() -> None:
     calls: list[Array] = []
 

@@ -25,8 +25,6 @@ _RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide:
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
-_SAME = 0.1  # of what a linear model missed: a kink explains the rest
-_HELD = 1e4  # times what a column of norm 1 weighs: a step is held to a kink
 _LARGEST = 1e140  # of a residual and its derivatives: those of a loop that runs away have no squares
 
 
@@ -201,12 +199,6 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
             break
         after = counted.linearise(x + step)
         used, gained = used + 1, _gain(norm, *after)
-        kink = _find_kink(error, J, step, *after) if -math.inf < gained <= 0.0 else None
-        if kink is not None and used < solver.evaluations:
-            beside = damped_step(error, J, room, damping, widths, kink)
-            there = counted.linearise(x + beside)
-            if (by := _gain(norm, *there)) > 0.0:
-                step, after, gained, used = beside, there, by, used + 1
         refused = 0 if gained > 0.0 else refused + 1
         small = bool(np.all(np.abs(step) <= solver.tolerance * np.abs(x)))
         if gained > 0.0:
@@ -219,11 +211,9 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
         elif damping <= 1.0 and abs(gained) <= solver.tolerance and not cut:
             status = Status.COST
         elif gained <= 0.0:
-            # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing. Where
-            # the least lies at kinks, the linear model promises more, and even small steps do not go down.
+            # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
             limit = solver.tolerance if refused < _PATIENCE else max(solver.tolerance, _RESOLVED)
-            held = small and gained >= -solver.tolerance
-            if held or _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
+            if _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
                 status = Status.ROUNDING
         # Steps with a reach, long or short, that all change nothing have come to the end.
         idle = idle + 1 if reach is not None and abs(gained) <= solver.tolerance else 0
@@ -247,29 +237,8 @@ def _gain(norm: float, after: FloatArray, *slopes: FloatArray) -> float:
     return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
 
 
-def _find_kink(
-    error: FloatArray, J: FloatArray, step: FloatArray, after: FloatArray, slopes: FloatArray
-) -> tuple[FloatArray, float] | None:
-    """Return n and d of the kink ``n s = d`` that a step crosses, from residual and derivatives at both ends.
-
-    Friction that begins to slip adds ``u max(n s - d, 0)`` to the residual, and ``u n`` to its derivatives. The least
-    of the criterion often lies at such a kink, and shorter steps only creep towards it.
-    """
-    jump = slopes - J
-    turned, missed = jump @ step, after - error - J @ step
-    square = float(turned @ turned)
-    behind = float(turned @ missed) / square if 0.0 < square < math.inf else 0.0  # the part of the step
-    explained = np.linalg.norm(missed - behind * turned) <= _SAME * np.linalg.norm(missed)
-    return (turned @ jump / square, max(1.0 - behind, 0.0)) if explained and 0.0 < behind <= 1.0 + _SAME else None
-
-
 def damped_step(
-    error: FloatArray,
-    J: FloatArray,
-    room: Bounds,
-    damping: float = 0.0,
-    widths: FloatArray | float = math.inf,
-    kink: tuple[FloatArray, float] | None = None,
+    error: FloatArray, J: FloatArray, room: Bounds, damping: float = 0.0, widths: FloatArray | float = math.inf
 ) -> FloatArray:
     """Minimise ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the column norms.
 
@@ -279,7 +248,6 @@ def damped_step(
         room: bounds of the step.
         damping: factor of the penalty.
         widths: (free,) distances between the bounds of each parameter.
-        kink: n and d of a plane ``n s = d`` in which the step ends.
     """
     from scipy.optimize import lsq_linear
 
@@ -290,10 +258,6 @@ def damped_step(
     triangle = np.asarray(np.linalg.qr(np.column_stack([J / norms, error]), mode="r"))[: norms.size]
     matrix = np.vstack([triangle[:, :-1], np.sqrt(damping) * np.eye(norms.size)])
     target = np.concatenate([-triangle[:, -1], np.zeros(norms.size)])
-    if kink is not None:
-        normal, distance = kink[0] / norms, kink[1]
-        held = _HELD / np.linalg.norm(normal)
-        matrix, target = np.vstack([matrix, held * normal]), np.append(target, held * distance)
     found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")
     return room.clip(found.x / norms)
 
