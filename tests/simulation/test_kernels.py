@@ -111,5 +111,5 @@ def test_a_joint_far_too_stiff_returns_a_status_in_bounded_work() -> None:
     for stiffness in 10.0 ** np.arange(7, 21):
         values = SLIDER | {"stiffness": stiffness, "damping": 0.0}
         outcome, q, _, _ = free(JOINT, values, force, np.array([0.0, 0.1, 0.0, -0.1]))
-        assert np.all(np.isfinite(q))
+        assert outcome is not Outcome.FINISHED or np.all(np.isfinite(q))  # else what follows is not written
     assert outcome is Outcome.TOO_STIFF

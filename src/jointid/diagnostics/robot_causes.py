@@ -29,7 +29,7 @@ from jointid.records.signals.filtering import Filtering, lowpass
 
 _INSTANTS = 200
 _RANK = 1e-12  # of the normal matrix, whose columns have length 1
-_LEAVES = 0.15  # of the squares of all errors beyond that of the best joint: what leaves more is not the cause
+_LEAVES = 0.4  # of the squares of all errors beyond that of the best joint: what leaves more is not the cause
 _SIMPLER = 1.25  # times: so much more may be left by a cause with one free number less
 _BEST = 4  # causes whose numbers are searched, beside those of vectors, whose start is nothing or a rough direction
 _STEPS = 8  # of a descent

@@ -371,9 +371,8 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
         if test.name in WHOLE:
             return abs(test.size - 1.0) < max(_SURELY * test.std, _NEARLY)
         apart = column - basis @ (basis.T @ column)
-        size, before = float(apart @ apart), rest[rows[test.axis]]
-        after = before - float(apart @ rest) / (size or 1.0) * apart[rows[test.axis]]
-        return size > ROUNDING * float(column @ column) and bool(after @ after < (1.0 - _MUCH) * (before @ before))
+        size, left = float(apart @ apart), float(np.sum(rest[rows[test.axis]] ** 2))
+        return size > ROUNDING * float(column @ column) and float(apart @ rest) ** 2 > _MUCH * left * size
 
     while shapes and np.any(residual):
         if residual.size <= _FEWEST * (own.shape[1] + len({(one.axis, one.fault) for one in shapes})):
