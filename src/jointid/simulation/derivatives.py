@@ -53,26 +53,24 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
     """
     experiment, clock = kept.experiment, kept.experiment.clock
     shown = min(kept.start.places.size, 2) if positions else 0
-    nothing = [np.zeros((clock.samples, len(keys))) for _ in experiment.axes]
-    still = np.zeros((clock.samples, shown, len(keys)))
+    torques = [np.zeros((clock.samples, len(keys))) for _ in experiment.axes]
+    moved = np.zeros((clock.samples, shown, len(keys)))
     if kept.outcome is not Outcome.FINISHED:
-        return nothing, still
+        return torques, moved
     wide = LANES if kept.path.straight else max(len(keys), 1)
-    commands, moved = [], []
     for first in range(0, max(len(keys), 1), wide):
         some = keys[first : first + wide]
-        filled = (*some, *[_NOBODY] * (wide - len(some)))
+        filled, last = (*some, *[_NOBODY] * (wide - len(some))), first + len(some)
         begun = start_slopes(experiment, kept.carried, kept.start, filled)
         explicit = [(c, key.axis, *_explicit(kept, key)) for c, key in enumerate(some) if _is_of_law(kept, key)]
         command, states = _follow(kept, filled, begun, explicit, positions)
-        commands.append(command[..., : len(some)])
-        moved.append(states[clock.log_index, : 2 * shown : 2, : len(some)] if shown else still[..., : len(some)])
-    command = commands[0] if len(commands) == 1 else np.concatenate(commands, axis=2)
-    states = moved[0] if len(moved) == 1 else np.concatenate(moved, axis=2)
-    torques = [_show(kept, j, command[j], keys) for j in range(len(experiment.axes))]
+        for j, (torque, each) in enumerate(zip(torques, command, strict=True)):
+            torque[:, first:last] = _show(kept, j, each[:, : len(some)], some)
+        if shown:
+            moved[..., first:last] = states[clock.log_index, : 2 * shown : 2, : len(some)]
     if experiment.tree is None and torques[0].size and not (-_ASTRAY < torques[0].min() <= torques[0].max() < _ASTRAY):
-        return nothing, still
-    return torques, states
+        return [np.zeros_like(torques[0])], np.zeros_like(moved)
+    return torques, moved
 
 
 def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -143,7 +141,7 @@ def _follow(
     """
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
     (n, elements, _), width = experiment.sampled.w.shape, first[0].shape[1]
-    command = np.zeros((n, clock.steps, width))
+    command = _ROOM.array("command", (n, clock.steps, width))
     rows = clock.steps * clock.lengths.size if positions else 0
     states = _ROOM.array("moved", (rows, 4, width))
     limits = np.zeros((n, elements, width))

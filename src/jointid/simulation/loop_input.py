@@ -416,7 +416,7 @@ def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:
     parts of periods.
     """
     if axis.timing is not Timing.AVERAGED:
-        return np.asarray(signal[_sources(axis, len(signal))[axis.clock.log_index]])
+        return np.take(signal, _sources(axis, len(signal))[axis.clock.log_index], axis=0)
     lengths = np.tile(axis.clock.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
     means = averages(axis, lengths * (shown := acting(axis, signal)))
     means[0] = shown[0]
@@ -425,7 +425,7 @@ def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:
 
 def acting(axis: AxisInput, signal: FloatArray) -> FloatArray:
     """Signal at the tap in each part of each period, parts in a row."""
-    return np.asarray(signal[_sources(axis, len(signal))])
+    return np.take(signal, _sources(axis, len(signal)), axis=0)
 
 
 def _sources(axis: AxisInput, periods: int) -> NDArray[np.int64]:

@@ -90,11 +90,8 @@ def _body(inertials: FloatArray, i: int, room: FloatArray) -> None:
     x, y, z, p = get(room, i, 0), get(room, i, 3), get(room, i, 6), get(room, i, ORIGIN)
     m = inertials[i, 0]
     h = rotate(x, y, z, get(inertials, i, 1))
-    of_x, of_y, of_z = (
-        inertia_times(inertials, i, 4, x),
-        inertia_times(inertials, i, 4, y),
-        inertia_times(inertials, i, 4, z),
-    )
+    of_x, of_y = inertia_times(inertials, i, 4, x), inertia_times(inertials, i, 4, y)
+    of_z = inertia_times(inertials, i, 4, z)
     reach = 2.0 * dot(p, h) + m * dot(p, p)
     room[i, _MASS] = m
     put(room, i, _MOMENT, add(h, times(m, p)))
@@ -166,11 +163,8 @@ def _own_slopes(room: FloatArray, i: int) -> None:
     yy, yz, zz = room[i, _INERTIA + 3], room[i, _INERTIA + 4], room[i, _INERTIA + 5]
     half, along = 0.5 * (xx + yy + zz), dot(h, u)
     # Columns of -w x E, with E = half the trace of the inertia less the inertia.
-    first, second, third = (
-        cross((half - xx, -xy, -xz), w),
-        cross((-xy, half - yy, -yz), w),
-        cross((-xz, -yz, half - zz), w),
-    )
+    first, second = cross((half - xx, -xy, -xz), w), cross((-xy, half - yy, -yz), w)
+    third = cross((-xz, -yz, half - zz), w)
     put(room, i, _W, (first[0] + along - u[0] * h[0], second[0] - u[0] * h[1], third[0] - u[0] * h[2]))
     put(room, i, _W + 3, (first[1] - u[1] * h[0], second[1] + along - u[1] * h[1], third[1] - u[1] * h[2]))
     put(room, i, _W + 6, (first[2] - u[2] * h[0], second[2] - u[2] * h[1], third[2] + along - u[2] * h[2]))

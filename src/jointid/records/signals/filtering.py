@@ -150,14 +150,9 @@ def default_cutoffs(sample_time: float, model: str) -> tuple[float, float]:
 
 
 def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray:
-    """Filter by a Butterworth filter of order 4, forwards and backwards.
+    """Filter signals, (samples, ...), by a Butterworth filter of order 4, forwards and backwards; cutoff in Hz.
 
     Ends are padded by 3 x order samples, reflected about the end point.
-
-    Args:
-        values: (samples,) or (samples, columns).
-        cutoff: Hz.
-        sample_time: seconds.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -196,13 +191,13 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
     """Decimate several signals, (samples,) or (samples, columns), as `Filtering.decimate` does."""
     from jointid.records.signals.sections import filter_rows
 
-    assert filtering.cutoff is not None
-    assert filtering.decimation is not None
+    assert filtering.cutoff is not None and filtering.decimation is not None
     keep, samples, padding = filtering.decimation, len(parts[0]), 3 * _ORDER
     _require_samples(samples, padding)
     sections, initial = _design_decimation(2 * filtering.cutoff * sample_time)
-    rows = np.ascontiguousarray(np.column_stack(parts), dtype=np.float64)
-    rows = np.pad(rows, ((padding, padding), (0, 0)), mode="reflect", reflect_type="odd")
+    rows = np.column_stack(parts)
+    begin, end = 2 * rows[0] - rows[padding:0:-1], 2 * rows[-1] - rows[-2 : -2 - padding : -1]
+    rows = np.concatenate([begin, rows, end], dtype=np.float64)
     for first, step in ((0, 1), (-1, -1)):
         filter_rows(sections, np.multiply.outer(initial, rows[first]), rows, step)
     kept = np.asfortranarray(rows[padding + (samples - 1) % keep : padding + samples : keep])
@@ -215,11 +210,7 @@ def drop_ends(rows: NDArray[Any], filtering: Filtering, samples: int) -> NDArray
     """Return decimated rows without those within the borders of the record.
 
     A filter that is padded about its ends holds to a noisy end, which a difference of positions makes large.
-
-    Args:
-        rows: (rows,) or (rows, columns), decimated.
-        filtering: resolved.
-        samples: before the decimation.
+    Rows are (rows,) or (rows, columns), the samples those before the decimation.
     """
     inside, at = filtering.inside(samples), decimated_at(len(rows), samples, filtering)
     return np.asarray(rows[(at >= inside.start) & (at < inside.stop)])
@@ -237,7 +228,7 @@ def _design_decimation(cutoff: float) -> tuple[FloatArray, FloatArray]:
     from scipy.signal import cheby1, sosfilt_zi
 
     sections = cheby1(_ORDER, _RIPPLE, cutoff, output="sos")
-    return np.asarray(sections), np.asarray(sosfilt_zi(sections))
+    return np.asarray(sections), sosfilt_zi(sections).ravel()
 
 
 def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
@@ -261,11 +252,7 @@ def settle(velocity: FloatArray) -> FloatArray:
 
 
 def apply_window(columns: FloatArray) -> FloatArray:
-    """Apply the window of `window_torque` to signals, by Simpson's rule.
-
-    Args:
-        columns: (samples, ...) at the instants.
-    """
+    """Apply the window of `window_torque` to signals, (samples, ...), by Simpson's rule."""
     for _ in range(2):
         ends = np.concatenate([columns[:1], columns, columns[-1:]])
         columns = (ends[:-2] + 4 * ends[1:-1] + ends[2:]) / 6

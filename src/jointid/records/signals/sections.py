@@ -8,29 +8,35 @@ from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compile_kernel
 
 _NOTHING = 1e-200  # what falls below it is 0: near the smallest numbers many machines are a hundred times slower
-_OFTEN = 512  # samples between two looks for such states
+_OFTEN = 256  # samples between two looks for such states
 
 
 @compile_kernel
 def filter_rows(sections: FloatArray, state: FloatArray, rows: FloatArray, step: int) -> None:
-    """Filter columns in place.
+    """Filter columns, (samples, columns), in place: by a `step` of 1 forwards, of -1 backwards.
 
-    Args:
-        sections: (sections, 6) as `scipy.signal.sosfilt` takes them.
-        state: (sections, 2, columns) initial, then final.
-        rows: (samples, columns).
-        step: 1 forwards, -1 backwards.
+    Sections are four as `scipy.signal.sosfilt` takes them, `state`, (8, columns), initial, then final. What goes on
+    from sample to sample stays in registers.
     """
     samples, columns = rows.shape
-    for k in range(samples):
-        n = k if step > 0 else samples - 1 - k
-        for s in range(sections.shape[0]):
-            if k % _OFTEN == 0:
-                state[s] *= np.abs(state[s]) > _NOTHING
-            b0, b1, b2, _, a1, a2 = sections[s]
-            for c in range(columns):
+    a0, a1, a2, _, a3, a4 = sections[0]
+    b0, b1, b2, _, b3, b4 = sections[1]
+    c0, c1, c2, _, c3, c4 = sections[2]
+    d0, d1, d2, _, d3, d4 = sections[3]
+    for first in range(0, samples, _OFTEN):
+        state *= np.abs(state) > _NOTHING
+        for c in range(columns):
+            z0, z1, z2, z3, z4, z5, z6, z7 = state[:, c]
+            for k in range(first, min(first + _OFTEN, samples)):
+                n = np.uint64(k if step > 0 else samples - 1 - k)  # Numba looks for negative indices among the signed
                 x = rows[n, c]
-                y = b0 * x + state[s, 0, c]
-                state[s, 0, c] = b1 * x - a1 * y + state[s, 1, c]
-                state[s, 1, c] = b2 * x - a2 * y
-                rows[n, c] = y
+                y = a0 * x + z0
+                z0, z1 = (a1 * x + z1) - a3 * y, a2 * x - a4 * y
+                x = b0 * y + z2
+                z2, z3 = (b1 * y + z3) - b3 * x, b2 * y - b4 * x
+                y = c0 * x + z4
+                z4, z5 = (c1 * x + z5) - c3 * y, c2 * x - c4 * y
+                x = d0 * y + z6
+                z6, z7 = (d1 * y + z7) - d3 * x, d2 * y - d4 * x
+                rows[n, c] = x
+            state[:, c] = np.array((z0, z1, z2, z3, z4, z5, z6, z7))

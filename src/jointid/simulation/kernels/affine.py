@@ -16,6 +16,7 @@ import math
 from typing import Any, TypeAlias
 
 import numpy as np
+from numba import extending, types
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
@@ -115,12 +116,8 @@ def _fill_bends(mass: FloatArray, spring: FloatArray, m1: int, m2: int, h: float
     second derivative over the part by its value at the start; a function stays within h^2/8 max|f''| of its chord.
     The root energy is sqrt(M1 E), so that a change of the torque changes it by no more than itself.
     """
-    inertia1, inertia2, stiffness, damping = (
-        mass[0, INERTIA],
-        mass[1, INERTIA],
-        spring[0, STIFFNESS],
-        spring[0, DAMPING],
-    )
+    inertia1, inertia2 = mass[0, INERTIA], mass[1, INERTIA]
+    stiffness, damping = spring[0, STIFFNESS], spring[0, DAMPING]
     root1, root2 = math.sqrt(inertia1), math.sqrt(inertia2)
     viscous1, viscous2 = mass[0, VISCOUS + int(m1 <= 0)], mass[1, VISCOUS + int(m2 <= 0)]
     shared = math.sqrt(stiffness) + damping * (1.0 / root1 + 1.0 / root2)
@@ -205,12 +202,12 @@ def _inside(start: float, end: float, low: float, high: float) -> float:
 
 @inline_kernel
 def _move(m: FloatArray, b: int, x: State, s: float) -> State:
-    """Return the state at the end of a part under a held torque."""
+    """Return the state at the end of a part under a held torque; this comes last, as it is known last."""
     at, stretch = np.uint64(b), x[2] - x[0]  # Numba looks for negative indices among the signed
-    y0 = (x[0] + (m[at, 0, 0] * x[1] + m[at, 2, 0] * x[3])) + ((m[at, 4, 0] + m[at, 1, 0] * stretch) + m[at, 3, 0] * s)
-    y1 = (m[at, 0, 1] * x[1] + m[at, 2, 1] * x[3]) + ((m[at, 4, 1] + m[at, 1, 1] * stretch) + m[at, 3, 1] * s)
-    y2 = (x[2] + (m[at, 0, 2] * x[1] + m[at, 2, 2] * x[3])) + ((m[at, 4, 2] + m[at, 1, 2] * stretch) + m[at, 3, 2] * s)
-    y3 = (m[at, 0, 3] * x[1] + m[at, 2, 3] * x[3]) + ((m[at, 4, 3] + m[at, 1, 3] * stretch) + m[at, 3, 3] * s)
+    y0 = ((x[0] + (m[at, 0, 0] * x[1] + m[at, 2, 0] * x[3])) + (m[at, 4, 0] + m[at, 1, 0] * stretch)) + m[at, 3, 0] * s
+    y1 = ((m[at, 0, 1] * x[1] + m[at, 2, 1] * x[3]) + (m[at, 4, 1] + m[at, 1, 1] * stretch)) + m[at, 3, 1] * s
+    y2 = ((x[2] + (m[at, 0, 2] * x[1] + m[at, 2, 2] * x[3])) + (m[at, 4, 2] + m[at, 1, 2] * stretch)) + m[at, 3, 2] * s
+    y3 = ((m[at, 0, 3] * x[1] + m[at, 2, 3] * x[3]) + (m[at, 4, 3] + m[at, 1, 3] * stretch)) + m[at, 3, 3] * s
     return y0, y1, y2, y3
 
 
@@ -225,10 +222,8 @@ def _stays(
     room1, room2 = _inside(m1 * x[1], m1 * y[1], slowest1, fastest1), _inside(m2 * x[3], m2 * y[3], slowest2, fastest2)
     if m1 == 0 or m2 == 0:  # one at rest stays in its cone
         stiffness, damping, held = spring[0, STIFFNESS], spring[0, DAMPING], spring[0, HELD]
-        pull, end = (
-            held + stiffness * stretch + damping * (x[3] - x[1]),
-            held + stiffness * after + damping * (y[3] - y[1]),
-        )
+        pull = held + stiffness * stretch + damping * (x[3] - x[1])
+        end = held + stiffness * after + damping * (y[3] - y[1])
         least, most = min(pull, end), max(pull, end)
         if m1 == 0:
             push = s - mass[0, OFFSET]
@@ -268,10 +263,10 @@ def _follow_chords(
     root = root if bends[mode, 2] == 1.0 else np.inf  # what grows is bounded over one period alone
     while k < w.size:
         at = np.uint64(k)
-        raw = (w[at] + d * x[0]) + (c0 * z0 + c1 * z1)
+        raw = (w[at] + (c0 * z0 + c1 * z1)) + d * x[0]  # the position comes last, as it is known last
         command = raw
-        next0 = b0 * x[0] + (a00 * z0 + a01 * z1)
-        next1 = b1 * x[0] + (a10 * z0 + a11 * z1)
+        next0 = (a00 * z0 + a01 * z1) + b0 * x[0]
+        next1 = (a10 * z0 + a11 * z1) + b1 * x[0]
         if not abs(raw) <= limit:  # a branch: the limit stays out of the chain of operations from state to state
             command = min(max(raw, -limit), limit)
             cut, clipped = command - raw, clipped + 1
@@ -353,6 +348,19 @@ def ride(
 # that nothing overlaps, and keeps to vector instructions.
 
 
+def _prefer_wide_vectors(_: Any) -> tuple[Any, Any]:
+    def lower(context: Any, builder: Any, *_: Any) -> Any:
+        # A set whose own `add` knows the attributes without a value only, so call that of any set.
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+        return context.get_dummy_value()
+
+    return types.void(), lower
+
+
+wide_vectors: Any = extending.intrinsic(_prefer_wide_vectors)
+"""Let a function use whole vectors, as those it inlines must ask, too: of 512 bits LLVM by itself takes halves."""
+
+
 @compile_kernel
 def fill_tangent(
     masses: FloatArray, springs: FloatArray, seeds: Seeds, mode: int, lengths: FloatArray, rates: FloatArray,
@@ -409,6 +417,7 @@ def _write(s: FloatArray, dq: FloatArray, dv: FloatArray) -> None:
 @inline_kernel
 def _push(s: FloatArray, moved: FloatArray, b: int, v1: float, stretch: float, v2: float, torque: float) -> None:
     """Write what the parameters change in the map of a part, for the motion there is."""
+    wide_vectors()
     m = np.uint64(b)  # Numba looks for negative indices among the signed
     for i in range(WIDE):
         change = (moved[m, 4 * WIDE + i] + moved[m, i] * v1) + moved[m, WIDE + i] * stretch
@@ -418,6 +427,7 @@ def _push(s: FloatArray, moved: FloatArray, b: int, v1: float, stretch: float, v
 @inline_kernel
 def _step(s: FloatArray, m: FloatArray, moved: FloatArray, b: int, states: FloatArray, at: int, torque: float) -> None:
     """Move the derivatives over a part in which nothing happened."""
+    wide_vectors()
     _push(s, moved, b, states[at, 1], states[at, 2] - states[at, 0], states[at, 3], torque)
     p00, p01, p02, p03 = m[b, 0, 0], m[b, 0, 1], m[b, 0, 2], m[b, 0, 3]
     p10, p11, p12, p13 = m[b, 1, 0], m[b, 1, 1], m[b, 1, 2], m[b, 1, 3]
@@ -455,6 +465,7 @@ def glide_slopes(
 
     Return the next period. Nearly all periods are of this kind.
     """
+    wide_vectors()
     a00, a01, a10, a11, b0, b1, c0, c1, _, _, direct, limit = law
     parts, lasts = lags.size, True
     _read(s, dq, dv)

@@ -436,11 +436,8 @@ def run(
                         break
                 for s in range(ns if settles else 0):  # a deflection at rest goes where its ends accelerate to
                     one, two = pairs[s, 0], pairs[s, 1]
-                    if (
-                        spring[s, kernels.SLIDING] > 0.0
-                        and v[two] == v[one]
-                        and modes[nd + s] * (a[two] - a[one]) < 0.0
-                    ):
+                    turns = v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0
+                    if turns and spring[s, kernels.SLIDING] > 0.0:
                         modes[nd + s] = -modes[nd + s]
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
                     fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)

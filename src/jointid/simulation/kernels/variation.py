@@ -185,6 +185,7 @@ def _move(
 
     Block by block the next derivative by time. How far the masses have gone is in the third block.
     """
+    affine.wide_vectors()
     nd, count = len(K), x.shape[2]
     for i in range(nd):
         for c in range(count):  # a velocity that was not let begin does not come back
@@ -286,28 +287,17 @@ def follow(
 ) -> None:  # fmt: skip
     """Fill the derivatives of a finished run by n parameters; LANES of a joint of straight lines.
 
-    Args:
-        plant: of `kernels.engine.run`, as the run left it.
-        tree: the same.
-        inertials: the same.
-        loop: the same.
-        torques_before: the same.
-        torques: (axes, clock) what it wrote.
-        excess: the same.
-        tape: the same, its filled rows.
-        path: the same.
-        seeds: how the numbers of the plant depend on the parameters.
-        first_q: (masses, n) of the first positions.
-        first_v: (masses, n) of the first velocities.
-        dz: (axes, states, n) of the controllers' states, overwritten.
-        explicit: (axes, periods, elements, some) of the controllers' elements, the motion and what limits take away
-            held, by the parameters of some columns.
-        columns: (some,) which.
-        dlimits: (axes, elements, n).
-        command: (axes, clock, n) out: of the torques that act; or (axes, clock, 0) of motors that are moved.
-        states: (parts of all steps, 4, n) out: of position and velocity of two masses as each begins; or (0, 4, n).
-        speeds: (axes, parts of all steps, n) out: of the velocities of motors that are moved; or (axes, 0, n).
+    Arguments of `kernels.engine.run` are as the run left them, `torques`, (axes, clock), what it wrote, the tape its
+    filled rows. The seeds say how the numbers of the plant depend on the parameters. Derivatives that are given:
+    `first_q` and `first_v`, (masses, n), of the first positions and velocities; `dz`, (axes, states, n), of the
+    controllers' states, overwritten; `dlimits`, (axes, elements, n); and `explicit`, (axes, periods, elements, some),
+    of the controllers' elements, the motion and what limits take away held, by the parameters of some `columns`.
+
+    Filled are `command`, (axes, clock, n), of the torques that act, or (axes, clock, 0) of motors that are moved;
+    `states`, (parts of all steps, 4, n), of position and velocity of two masses as each begins, or (0, 4, n); and
+    `speeds`, (axes, parts of all steps, n), of the velocities of motors that are moved, or (axes, 0, n).
     """
+    affine.wide_vectors()
     masses, springs, places, pairs, rotors, carriers = plant
     lags, every, post, lengths = loop.lags, loop.every, loop.post, loop.lengths
     n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), first_q.shape[1]
