@@ -18,9 +18,7 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import in_words, join, number
 from jointid.estimation.result.estimate import EstimatedParameter
 from jointid.estimation.result.fields import read
-
-LEVEL = 0.05
-"""Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""
+from jointid.uncertainty.covariance import LEVEL
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +53,7 @@ class EstimateComparison(Documented):
         records: the names of their records.
         same_record: True if a record of one is also of the other.
         rows: every quantity.
-        level: see `LEVEL`.
+        level: of the family: the largest share of unchanged pairs in which some quantity is called changed.
     """
 
     in_json = "changed sentence"

@@ -150,10 +150,8 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
     limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
     if math.isfinite(limit):
         yield from (Symptom("at_limit", one) for one in limit_faults(record, limit))
-    if record.reference is not None:
-        plain = find_plain_cause(record)
-        if plain is not None:
-            yield Symptom(_POOR_MOTION, plain.words)
+    if record.reference is not None and (plain := find_plain_cause(record)) is not None:
+        yield Symptom(_POOR_MOTION, plain.words)
     law = None if loop is None else compare_law(record, loop)
     if law is not None and law.agreement.code is not Agreement.HOLDS:
         yield Symptom(str(law.agreement.code), law.agreement.words)

@@ -4,13 +4,12 @@ Sensitivities show small deviations of one number (`search`). For a large one, a
 large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
 identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
-Of each case the two best starts are followed for a few steps; those far behind the best case are given up, the others
-converge. A flexible joint is first identified as rigid, far below its resonance, which shows a wrong sign or size; only
-the remaining cases are fitted to the whole band.
+Of each case the two best starts are followed for a few steps; those far behind the best case are given up. A flexible
+joint is first identified as rigid, far below its resonance; only the remaining cases are fitted to the whole band.
 
 The search assumes one mistake. A number may absorb much of two: so the residual of a cause must be about that of free
-linear responses to the reference (`model_free`), which assume no drive. If it is clearly larger, something else is
-wrong, and the message says so. Two mistakes that one number absorbs completely are reported as that number.
+linear responses to the reference (`model_free`), and no impossible fault may be significant beside it. Otherwise
+something else is wrong. Two mistakes that one number absorbs completely are reported as that number.
 """
 
 from __future__ import annotations
@@ -39,6 +38,7 @@ from jointid.diagnostics.model_free import (
     find_steps,
     find_unexplained_share,
 )
+from jointid.diagnostics.score import LEVEL, SolvedLoop
 from jointid.diagnostics.suspects import FaultTest, Finding
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.didim import DIDIM
@@ -256,8 +256,7 @@ def find_causes(
         free: names of what is identified beside the joint, as the delay; that of the estimate where there is one.
     """
     left = math.inf if estimate is None else estimate.fit.filtered_error
-    plain = find_plain_cause(record)
-    if plain is not None:
+    if (plain := find_plain_cause(record)) is not None:
         return Causes(left, plain=plain)
     filtering, until = Filtering(), time.process_time() + _SECONDS
     if estimate is not None:
@@ -290,6 +289,9 @@ def find_causes(
     # In a loop that rings for long, responses as short as these leave much, too.
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
     more = best and best.left > (min(times * responses, _FITS) if responses > 0 else _FITS)
+    solved = next((one for one in fits if best and not more and one.error == best.left and one.case.change), None)
+    if solved is not None and (tests := SolvedLoop(solved.problem, solved.x).tests):
+        more = tests[0].p_value <= LEVEL and not tests[0].possible
     return Causes(left, () if more else explaining, best if more else None, responses)
 
 

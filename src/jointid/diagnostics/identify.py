@@ -124,22 +124,6 @@ def identify(
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
         >>> round(ji.identify(record, loop)["inertia"].value, 6)
         30.0
-
-        Two records, the second with 10 kg on the load and a friction of its own:
-
-        >>> heavier = ji.simulated_record(loop, reference, truth | {"inertia": 40.0, "coulomb": 18.0}, sample_time=1e-3)
-        >>> shared = {"added_inertia": (0.0, 10.0), "own": ((), ("coulomb",))}
-        >>> both = ji.identify([record, heavier], loop, several=shared)
-        >>> round(both["inertia"].value, 4), round(both["coulomb@2"].value, 4)
-        (30.0, 18.0)
-
-        A minute, in windows of six seconds:
-
-        >>> reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=60.0)
-        >>> minute = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> estimate = ji.identify(minute, loop, windows=6.0)
-        >>> round(estimate["inertia"].value, 3), estimate.data.windows.count
-        (30.0, 10)
     """
     streamed = windows_of(record, model, method, several) if windows is None else None
     if windows is False and not isinstance(record, Record | Sequence):

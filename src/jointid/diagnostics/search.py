@@ -1,7 +1,7 @@
 """Search for the faults of a solved joint or robot: test each alone, take the likeliest, correct it, and test again.
 
-Faults of loop and log are one family of tests, with a family-wise error of 2 %; faults of the mechanics are another,
-with a tenth of that (`score`). Those that are nearly as likely by the likelihood ratio are named beside the first.
+Those that are nearly as likely by the likelihood ratio are named beside the first. Where the likeliest is impossible,
+or the residual still repeats with the motion when all are corrected, something else is wrong.
 
 A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
 law makes the logged torque of a logged motor position, faults of law and log that it excludes are not named.
@@ -74,14 +74,13 @@ _HALF = 0.5  # of the size by one step that must remain when the problem is solv
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected, or under another law: far below a deviation
-_FEWEST = 4  # rows to a column, of each fault one
+_FEWEST = 4  # rows to a column, of each fault one, and of a block in time
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not the cause
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 
 _BLOCKS = 40  # of a residual, in time
-_FEWEST_ROWS = 4  # rows of a block
 _SHORTEST = 2  # blocks of a part
 _TIMES = 25.0  # as much as elsewhere: on healthy drives it is about 3, with a known fault that is not all taken off 20
 _MOST_OF_IT = 0.5  # of the blocks of a part
@@ -103,7 +102,7 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
     if np.linalg.norm(problem.residual(initial.x)) > exact:
         initial = replace(initial, x=descend(problem, initial.x, _TOLERANCE).x)
     found = initial
-    findings, suspected = list[Finding](), list[Finding]()
+    findings, suspected, vague = list[Finding](), list[Finding](), False
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
         laws = test_laws(found)
         stated = choose_law([one for one in laws if one.explains(found)])
@@ -113,7 +112,10 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
             named = (*found.named, *(one.law.fault.name for one in (stated, *alike)))
             found = replace(found, problem=stated.problem, x=stated.x, named=named)
         elif found.tests and found.tests[0].p_value <= LEVEL:
-            finding, found = _find(found, found.tests[0])
+            possible = [one for one in (found.tests[0], *found.list_rivals(found.tests[0])) if one.possible]
+            if vague := not possible:
+                break
+            finding, found = _find(found, possible[0])
             findings.append(finding)
         else:
             # The p-values of the mechanics are those of a tenth of the level: what is near it is not named.
@@ -124,10 +126,10 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
     part = find_part_of_loop(found.problem, found.x)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, suspected, found = [], [], initial
-    joint, explained = problem.loop.joint, None
-    if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
-        before, after = initial.residual, found.problem.residual(found.x)
-        explained = 1.0 - float(after @ after) / float(before @ before)
+    joint, left = problem.loop.joint, found.residual
+    vague |= len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings)
+    vague |= bool(findings) and found.follows_motion
+    explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)
 
@@ -431,7 +433,7 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
     """
     own = time[rows]
     size = own.size // _BLOCKS
-    if size < _FEWEST_ROWS or not np.any(residual[rows]):
+    if size < _FEWEST or not np.any(residual[rows]):
         return None
     begin, end = np.triu_indices(_BLOCKS + 1, _SHORTEST)
     inside = (end - begin <= _BLOCKS // 2) & (begin > 1)

@@ -22,6 +22,7 @@ from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction
 from jointid.models.springs import Spring, swinging_part
+from jointid.uncertainty.covariance import INTERVAL
 from jointid.uncertainty.model_tests import fit_whitener
 
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
@@ -142,6 +143,11 @@ class FaultTest:
         return self.size / self.std if self.std > 0 else 0.0
 
     @property
+    def possible(self) -> bool:
+        """False of a delay that is negative in all: no torque reacts before its law."""
+        return self.fault is not DELAY or self.declared + self.size + INTERVAL * self.std >= 0.0
+
+    @property
     def strength(self) -> float:
         """The absolute statistic; at least 0 for a fault that can only be positive.
 
@@ -246,7 +252,7 @@ class AxisFaults:
     @property
     def as_declared(self) -> bool:
         """True if no fault was found."""
-        return not self.findings and self.part is None
+        return not self.findings and self.part is None and self.explained is None
 
     @property
     def reasons(self) -> tuple[Message, ...]:
@@ -256,7 +262,7 @@ class AxisFaults:
         if self.explained is not None:
             clause = "something is wrong that is none of the known faults"
             share, alike = number(100 * self.explained, 2), " and ".join(_call(one.test.fault) for one in self.findings)
-            words = f"{clause}: of these, {alike} would explain {share} % of the squares of the residual"
+            words = f"{clause}: of these, {alike or 'none'} would explain {share} % of the squares of the residual"
             return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
         if self.findings:
             return tuple(map(self._describe, self.findings))
