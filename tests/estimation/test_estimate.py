@@ -118,8 +118,6 @@ def test_a_spoiled_answer_is_refused_in_a_sentence(text: str, tmp_path: Path) ->
     (tmp_path / "out.json").write_text(text, encoding="utf-8")
     with pytest.raises(RecordError, match=r"is no (JSON file|estimate)"):
         answers.load_estimate(tmp_path / "out.json", LOOP)
-    with pytest.raises(RecordError, match=r"is no (JSON file|estimate)"):
-        answers.read_choices(tmp_path / "out.json")
 
 
 def test_the_error_leaves_out_the_borders() -> None:

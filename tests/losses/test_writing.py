@@ -22,11 +22,11 @@ OLD = b"what was there"
 WRITERS = {
     "inspect": "inspect record.csv --json o.json",
     "identify": "identify joint.toml -q --json o.json",
-    "simulate .csv": "simulate joint.toml --estimate estimate.json -q --out o.csv",
-    "simulate .mat": "simulate joint.toml --estimate estimate.json -q --out o.mat",
-    "simulate .npy": "simulate joint.toml --estimate estimate.json -q --out o.npy",
-    "simulate .parquet": "simulate joint.toml --estimate estimate.json -q --out o.parquet",
-    "export": "export joint.toml --estimate estimate.json --out o.toml",
+    "simulate .csv": "simulate joint.toml --identified -q --out o.csv",
+    "simulate .mat": "simulate joint.toml --identified -q --out o.mat",
+    "simulate .npy": "simulate joint.toml --identified -q --out o.npy",
+    "simulate .parquet": "simulate joint.toml --identified -q --out o.parquet",
+    "export": "export joint.toml --out o.toml",
     "report": "report joint.toml -q --no-profiles --no-tuning --html o.html",
 }
 LONGEST = 6.0  # seconds in which a command is attacked
@@ -104,6 +104,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     record = folder / "record.csv"  # a third of it, to have more moments in the same time
     record.write_text("".join(record.read_text(encoding="utf-8").splitlines(keepends=True)[:8001]), encoding="utf-8")
     warm_up()
+    assert run("identify", folder / "joint.toml", "-q") == 0  # and no command searches for it again
     rows = np.arange(400)
     write_table(folder / "table.csv", Table({"t": rows * 1e-3, "i": np.sin(rows), "q": np.cos(rows)}))
     return folder

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
-from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
+from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
@@ -50,6 +50,7 @@ def diagnose(
     parameters: Mapping[str, Parameter] | None = None,
     controllers: Sequence[Controller | None] = (),
     laws: bool = False,
+    search: Callable[..., Estimate] = identify,
     progress: Progress = ignore_progress,
 ) -> Diagnosis:
     """Find what is wrong with a record, and with the loop, the log and the joint that are identified from it.
@@ -68,6 +69,7 @@ def diagnose(
             given.
         laws: whether to identify a joint with every law of its spring and its friction, too, and to judge each by how
             well it predicts parts of the record that were kept from its fit.
+        search: called as `jointid.identify`, in its place.
         progress: called with each step in a sentence.
 
     Raises:
@@ -95,7 +97,7 @@ def diagnose(
     found, compared = Diagnosis(first.name), list[LawComparison]()
     if not any(one.code in _ENOUGH for one in symptoms):
         try:
-            estimate = identify(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+            estimate = search(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
         except JointidError as error:
             symptoms.append(_explain(error, first, loop if len(axes) == 1 else None, progress))
         else:
@@ -115,11 +117,6 @@ def diagnose(
             symptoms.append(Symptom("laws_not_compared", str(error), spoils=False))
     gear = getattr(getattr(model, "joint", model), "transmission", None)
     return replace(found, name=first.name, symptoms=tuple(symptoms), laws=tuple(compared), transmission=gear)
-
-
-def unreadable(error: FaultsError, record: str) -> Diagnosis:
-    """Return the diagnosis of a file from which no record could be made."""
-    return Diagnosis(record, symptoms=tuple(Symptom(_UNREADABLE, one) for one in error.faults))
 
 
 def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedLoop | None]]:

@@ -10,18 +10,19 @@ that is within two deviations.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError, MethodError
+from jointid.common.errors import JointidError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads, one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
+from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import explain_misfit
@@ -46,7 +47,7 @@ from jointid.estimation.result.verdict import (
     checks_of,
     skip_test,
 )
-from jointid.estimation.robots.simulated import IdentifiedRobot
+from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
@@ -60,6 +61,7 @@ from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
 _OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
+UNCHECKED = "not checked"  # of what was left out, and is made up for by `check_later`
 
 
 @one_thread()
@@ -73,7 +75,6 @@ def identify(
     several: Mapping[str, Any] | None = None,
     windows: float | Literal[False] | None = None,
     checks: bool = True,
-    unchecked: Callable[[Estimate], None] | None = None,
     progress: Progress = ignore_progress,
 ) -> Estimate:
     """Identify a joint, or a robot, from what its drives logged.
@@ -100,16 +101,12 @@ def identify(
             DIDIM. One that may take too much memory at once is identified in windows without it, of which one is
             checked. False identifies it at once.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
-            record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
-            long as its identification.
-            Without them, the verdict on the loop says so. Those of a robot are made by `diagnose`.
-        unchecked: called with the estimate before its checks.
+            record, by a DIDIM that ends at the least squares. Without them, the verdict on the loop says so.
         progress: called with each step in a sentence.
 
     Raises:
-        RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not;
-            or it shows nothing (a constant torque or reference), or cannot be in the units it is said to be in; or a
-            chunk of a log cannot be read.
+        RecordError: the record lacks a channel the method needs, or shows nothing (a constant torque or reference), or
+            cannot be in the units it is said to be in; or a chunk of a log cannot be read.
         MethodError: the method does not fit the model, the record does not determine the parameters, or it gives an
             inertia that is not positive; records are one only, or one twice, or the lists about them are not as long.
 
@@ -126,11 +123,6 @@ def identify(
         30.0
     """
     streamed = windows_of(record, model, method, several) if windows is None else None
-    if windows is False and not isinstance(record, Record | Sequence):
-        raise MethodError(
-            "A log that is read in chunks is identified in windows; received windows=False: read the record whole, or "
-            "leave windows out."
-        )
     asked = streamed if windows is None or windows is False else windows
     fit = fit_records(
         record, model, method, filtering=filtering, parameters=parameters, several=several, windows=asked,
@@ -145,10 +137,24 @@ def identify(
         broken = find_broken_part(checked.records[0]) if len(checked.records) == 1 else None
         return assemble(fit if broken is None else fit.warn(broken.words))
     if not checks:
-        return assemble(fit, *_left_out("not checked: the checks were left out"))
-    if unchecked is not None:
-        unchecked(assemble(fit, *_left_out("not checked yet")))
+        return replace(assemble(fit, *_left_out(UNCHECKED)), x=checked.x)
     return assemble(fit, *run_checks(checked, progress))
+
+
+@one_thread()
+def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_progress) -> Estimate:
+    """Return an unchecked estimate of one record that has a torque with its checks, without a search."""
+    part, settings, x = estimate.robot, estimate.settings, estimate.x
+    estimate = replace(estimate, checks=tuple(one for one in estimate.checks if one.words != UNCHECKED))
+    if part is not None:
+        solved = None if settings.method == "idim" else solve_again(part, record, settings.filtering)
+        fit = replace(estimate, records=tuple(record), solved=solved)
+    else:
+        found = {} if x is None else dict(zip(estimate.free, x.tolist(), strict=True))
+        rows = tuple(replace(row, value=found.get(row.name, row.value)) for row in estimate.rows)  # refused ones, too
+        problem, x = rebuild_problem(replace(estimate, rows=rows), record)
+        fit = replace(estimate, problem=problem, x=x, records=(record,))
+    return assemble(fit, *run_checks(fit, progress))
 
 
 def _left_out(why: str) -> Checked:
@@ -158,11 +164,8 @@ def _left_out(why: str) -> Checked:
 def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
     """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
-    What the record does not allow to check is left out. An exception loses no estimate: the verdict on the loop states
-    it.
-
-    A parameter that is not identifiable leaves the loop unchecked. If a cause explains a misfit (`explain`), it is
-    the verdict, because sensitivities mislead then.
+    What the record does not allow to check is left out, as the loop where a parameter is not identifiable. The verdict
+    on the loop states an exception, and a cause that explains a misfit: sensitivities mislead then.
     """
     try:
         if fit.robot is not None:

@@ -19,7 +19,6 @@ from jointid.common.text import number
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
-from jointid.models.controllers import Controller
 from jointid.models.friction import PARTS, Friction
 from jointid.models.springs import Spring, swinging_part
 from jointid.uncertainty.covariance import INTERVAL
@@ -197,7 +196,7 @@ class OtherLaw:
     fault: Fault
     words: str
     remedy: str
-    controller: Controller
+    controller: Any = None
     rate: float = 0.0
 
 

@@ -17,9 +17,10 @@ from jointid.estimation.methods.registry import METHODS, method_of
 from jointid.estimation.parameters import LOG_DELAY, add_delays, apply_constraints, log_delay, robot_parameters
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.problems.simulated import of_record
+from jointid.estimation.result.agreement import Agreement
 from jointid.estimation.result.estimate import Data, Estimate, EstimatedParameter, Fit, Settings
 from jointid.estimation.result.fields import finite, read
-from jointid.estimation.result.verdict import Check, judged
+from jointid.estimation.result.verdict import Check, StiffnessBound, judged
 from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, Joint
@@ -27,6 +28,7 @@ from jointid.models.robots.base_parameters import name_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.plant import DELAY
+from jointid.uncertainty.identifiability import Identifiability
 
 RobotSystem = Robot | RobotLoop | RobotDriveSide
 System = Joint | ClosedLoop | DriveSide | RobotSystem
@@ -73,9 +75,11 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
         tuple(rows.values()),
         _correlation(answer, sum(row.free for row in rows.values()), robot is not None),
         read(Fit, fit, measured=empty, predicted=empty, **shares, **of_axes),
-        read(Data, answer["data"], resampled=None, windows=None),
+        read(Data, answer["data"]),
         read(Settings, settings, system=robot or system, loop=law, controller=str(answer["controller_sha256"])),
-        read(tuple[Check, ...], answer["checks"]), robot=part, **said,
+        read(tuple[Check, ...], answer["checks"]), read(Identifiability | None, answer.get("known")),
+        read(tuple[StiffnessBound, ...], answer["bounds"]), read(Agreement | None, answer.get("agreement")),
+        robot=part, **said,
     )  # fmt: skip
     found = judged(found)
     found.summary(details=True)  # what cannot be described is damaged

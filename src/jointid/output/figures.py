@@ -303,26 +303,6 @@ def response_figure(estimate: Estimate, found: FrequencyResponse) -> Figure:
 
 
 @styled
-def correlation_figure(estimate: Estimate) -> Figure:
-    """Draw the correlations of the estimate's errors."""
-    free = [p for p in estimate.rows if p.free][: len(estimate.correlation)]
-    own = [i for i, p in enumerate(free) if p.of_joint]
-    if len(own) < 2 or any(free[i].value is None for i in own):
-        raise RecordError("Fewer than two correlations are known; identify more parameters.")
-    values, names = estimate.correlation[np.ix_(own, own)], [free[i].symbol for i in own]
-    figure, (axes,) = panels((min(140 + 42 * len(names), 560),), width=5.5)
-    axes.grid(visible=False)
-    axes.imshow(values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="equal")
-    axes.set_xticks(range(len(names)), names)
-    axes.set_yticks(range(len(names)), names)
-    axes.xaxis.tick_top()
-    for (row, column), value in np.ndenumerate(values):
-        shown, colour = f"{round(float(value), 2) + 0.0:.2f}", "white" if abs(value) > 0.6 else "0.15"  # of 0 no -0
-        axes.text(column, row, shown, ha="center", va="center", fontsize=7, color=colour)
-    return figure
-
-
-@styled
 def profiles_figure(estimate: Estimate, found: Profiles) -> Figure:
     """Draw the profiles, each beside the interval of the table."""
     shown = [one for one in found if one.points.size > 2]

@@ -6,28 +6,32 @@ Every document has `schema`, the class of its result with the number of this for
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
 
 from jointid import ClosedLoop, __version__
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.files import explain, open_file
+from jointid.common.files import digest, explain, open_file
 from jointid.config import File
-from jointid.estimation.methods.registry import METHODS
+from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.fields import dumps, finite, plain, write
-from jointid.models.friction import Friction
+from jointid.estimation.result.fields import dumps, finite, plain, read, write
 from jointid.models.joints import Joint
 
 if TYPE_CHECKING:
     from jointid.estimation.saved import System
     from jointid.simulation.simulate import Simulation
 
-__all__ = ["dumps", "load_estimate", "plain", "read_choices", "read_report", "simulation_answer", "to_dict", "write"]
+__all__ = ["dumps", "load_estimate", "plain", "read_report", "simulation_answer", "to_dict", "write"]
 
 Json: TypeAlias = dict[str, Any]
 
@@ -148,20 +152,6 @@ def _fits(stated: Any, own: Any) -> bool:
     return bool(stated == own)
 
 
-def read_choices(path: str | Path) -> dict[str, str]:
-    """Return the choices of an estimate: friction law of a joint, method of a robot.
-
-    Raises:
-        RecordError: the file is no estimate.
-    """
-    answer = read_report(path)
-    with _refuse_damage(path):
-        settings = answer["settings"]
-        if "joints" in settings["system"]:
-            return {"method": {name: name for name in METHODS}[settings["method"]]}
-        return {"friction": Friction(settings["system"]["friction"]["name"]).name}
-
-
 def read_report(path: str | os.PathLike[str]) -> Json:
     """Return the document of an estimate: from its JSON or that of a report, or from the page of a report.
 
@@ -184,3 +174,39 @@ def read_report(path: str | os.PathLike[str]) -> Json:
     if answer.get("schema") != ESTIMATE_SCHEMA:
         raise damaged
     return answer
+
+
+# What is kept beside a joint file, so that a log is searched once
+
+
+def key_of(file: File, records: Sequence[Path], axis: str | None, changes: Sequence[str], window: float | None) -> str:
+    """Return the SHA-256 of all that an estimate follows from: the files, what changes them, and this program."""
+    model = file.model_path
+    models = [] if model is None else sorted(model.parent.glob(f"*{model.suffix}"))  # which may include each other
+    said = [file.text, file.method.name, axis, [*changes], window, digest(*records), digest(*models), _digest_program()]
+    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+
+
+@cache
+def _digest_program() -> str:
+    return digest(*sorted(Path(__file__).parents[1].rglob("*.py")))
+
+
+def recall(path: Path, file: File, key: str) -> Estimate | None:
+    """Return the estimate that was kept with a key; a file that is damaged, or another one, counts for nothing."""
+    with contextlib.suppress(RecordError):
+        answer = read_report(path)
+        if answer.get("key") == key:
+            with _refuse_damage(path):
+                x = read(tuple[float, ...] | None, answer["x"])
+                made = read(Diagnosis | None, answer["diagnosis"])
+                return replace(load_estimate(path, file), diagnosis=made, x=None if x is None else np.array(x))
+    return None
+
+
+def keep(path: Path, key: str, estimate: Estimate) -> None:
+    """Keep an estimate with its key, and never over a file that was not kept; raise a `RecordError` otherwise."""
+    if os.path.lexists(path) and "key" not in read_report(path):
+        raise RecordError(f"{path} is an answer that was written there; move it.")
+    more = {"key": key, "x": plain(estimate.x), "diagnosis": plain(estimate.diagnosis, whole=True)}
+    write(to_dict(estimate) | more, path)

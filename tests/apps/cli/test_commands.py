@@ -14,7 +14,7 @@ from jointid.apps.cli.app import app
 from jointid.apps.cli.demo import FIRST_DAY, _write_robot
 from jointid.config import File, load
 from jointid.output.report import tune_to_limit
-from jointid.paper.twin import TABLE_2, twin
+from jointid.paper.twin import TABLE_2
 from jointid.records.formats import Table, write_table
 from tests.joint_files import EXAMPLE as EMPS
 from tests.rigid_axis import JOINT, TRUTH, run, write_axis
@@ -29,18 +29,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the first 10 s of a demo's record; all 24 s take longer."""
-    whole = tmp_path_factory.mktemp("brief") / "record.csv"
-    ji.write(twin(seed=7).record, whole)
-    whole.write_text("".join(whole.read_text(encoding="utf-8").splitlines(keepends=True)[:10_001]), encoding="utf-8")
-    return whole
-
-
 def test_the_demo_writes_a_folder_to_play_with(demo: Path) -> None:
-    assert {path.name for path in demo.iterdir()} == {"record.csv", "joint.toml", "estimate.json", "torque.png"}
-    answer = json.loads((demo / "estimate.json").read_text(encoding="utf-8"))
+    assert {path.name for path in demo.iterdir()} == {"record.csv", "joint.toml", "joint.estimate.json", "torque.png"}
+    answer = json.loads((demo / "joint.estimate.json").read_text(encoding="utf-8"))
     for name, value in TABLE_2.items():
         found = answer["parameters"][name]
         assert abs(found["value"] - value) <= 3 * found["stderr"], name
@@ -52,8 +43,9 @@ def test_the_demo_writes_a_folder_to_play_with(demo: Path) -> None:
 def test_identify_validate_simulate_on_the_real_axis(
     emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, pulses = tmp_path / "out.json", emps_path.with_name("DATA_EMPS_PULSES.mat")
-    assert run("identify", EMPS, "--record", emps_path, "--json", out, "--figure", tmp_path / "t.svg", "-q") == 0
+    out, pulses, joint = tmp_path / "out.json", emps_path.with_name("DATA_EMPS_PULSES.mat"), tmp_path / "joint.toml"
+    joint.write_text(EMPS.read_text("utf-8").replace("DATA_EMPS.mat", str(emps_path)), "utf-8")
+    assert run("identify", joint, "--json", out, "--figure", tmp_path / "t.svg", "-q") == 0
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.Estimate/2"
     assert answer["settings"]["method"] == "didim"
@@ -64,19 +56,18 @@ def test_identify_validate_simulate_on_the_real_axis(
     assert (tmp_path / "t.svg").read_text(encoding="utf-8").lstrip().startswith("<?xml")
 
     check = tmp_path / "check.json"
-    assert run("validate", EMPS, "--estimate", out, "--record", pulses, "--json", check, "-q") == 0
+    assert run("validate", joint, "--record", pulses, "--json", check, "-q") == 0
     cross = json.loads(check.read_text(encoding="utf-8"))
     assert (cross["schema"], cross["test"]) == ("jointid.Validation/2", "cross")
     assert cross["relative_error"] <= 0.055
-    assert run("validate", EMPS, "--estimate", out, "--record", emps_path, "--json", check, "-q") == 0
+    assert run("validate", joint, "--record", emps_path, "--json", check, "-q") == 0
     assert json.loads(check.read_text(encoding="utf-8"))["test"] == "direct"
 
     made, summary = tmp_path / "made.csv", tmp_path / "made.json"
-    words = ("--record", emps_path, "--estimate", out, "--out", made, "--json", summary, "-q")
-    assert run("simulate", EMPS, *words, "--set", "joint.friction=asymmetric") == 0  # the estimate's holds
+    assert run("simulate", joint, "--identified", "--out", made, "--json", summary, "-q") == 0
     assert json.loads(summary.read_text(encoding="utf-8"))["outcome"] == "finished"
     capsys.readouterr()
-    assert run("identify", EMPS, "--record", made, "--json", check, "-q") == 0  # it has the columns of EMPS itself
+    assert run("identify", joint, "--record", made, "--json", check, "-q") == 0  # it has the columns of EMPS itself
     again = json.loads(check.read_text(encoding="utf-8"))
     for name in ("inertia", "viscous", "coulomb", "offset"):
         assert abs(again["parameters"][name]["value"] / answer["parameters"][name]["value"] - 1) <= 1e-6, name
@@ -119,7 +110,7 @@ def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: P
         ("identify", EMPS, "--set", "method.frequency=30"),
         ("identify", EMPS, "--frequency", "30"),
         ("inspect", EMPS, "--harmonics", "3"),
-        ("validate", EMPS, "--estimate", EMPS),
+        ("validate", EMPS),
         ("demo", EMPS / "inside"),
     ],
 )
@@ -211,7 +202,7 @@ def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
 ) -> None:
     place = tmp_path / "robot"
     assert run("demo", "--robot", place, "-q") == 0
-    names = {"record.csv", "robot.toml", "robot.xml", "estimate.json", "torque.png"}
+    names = {"record.csv", "robot.toml", "robot.xml", "robot.estimate.json", "torque.png"}
     assert {path.name for path in place.iterdir()} == names
     for name in ("robot.toml", "robot.xml"):
         assert (place / name).read_bytes() == (ROOT / "examples" / "robot" / name).read_bytes()

@@ -15,7 +15,6 @@ from jointid.apps.cli.console import spare
 from jointid.common.errors import RecordError
 from jointid.common.files import beside, write_folder, write_whole
 from jointid.config.toml import parse_toml
-from jointid.output import json as answers
 from jointid.records.formats import Table, write_table
 from tests.joint_files import EXAMPLE as EMPS
 from tests.losses.runs import contents
@@ -27,17 +26,17 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "learn-controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
     "inspect": ("record.csv", {"--json": "x.json", "--write": "x.toml"}),
     "demo": ("", {"FOLDER": "x"}),
-    "design": ("joint.toml", {"--json": "x.json", "--figure": "x.png", "--out": "x"}),
+    "design": ("joint.toml", {"--json": "x.json", "--out": "x"}),
     "diagnose": ("joint.toml", {"--json": "x.json"}),
-    "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
+    "export": ("joint.toml", {"--out": "x.urdf"}),
     "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
     "payload": ("joint.toml --without a.csv --with b.csv", {"--json": "x.json"}),
     "report": ("joint.toml", {"--html": "x.html", "--json": "x.json"}),
     "reproduce": ("", {"--out": "x"}),
     "serve": ("", {"--folder": "x"}),
     "simulate": ("joint.toml", {"--json": "x.json", "--out": "x.csv"}),
-    "tune": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
-    "validate": ("joint.toml --estimate estimate.json", {"--json": "x.json", "--figure": "x.png"}),
+    "tune": ("joint.toml", {"--json": "x.json"}),
+    "validate": ("joint.toml --record other.csv", {"--json": "x.json"}),
 }
 """Where every command writes, and what else it is given."""
 
@@ -59,7 +58,6 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.skipif(sys.platform == "win32", reason="links")
 @pytest.mark.parametrize("command", OUTPUTS)
 def test_no_command_writes_over_what_it_reads(command: str, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(answers, "read_choices", lambda _: {})
     monkeypatch.setattr("jointid.config.file.File.record", lambda *_, **__: pytest.fail("the work has begun"))
     given, outputs = OUTPUTS[command]
     words, before = given.split(), contents(place)
@@ -129,7 +127,6 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_runs(
 ) -> None:
     """A full disk takes no byte, a folder that is closed or read-only takes nothing."""
     there, (given, outputs) = contents(place), OUTPUTS[command]
-    monkeypatch.setattr(answers, "read_choices", lambda _: {})
     monkeypatch.setattr(Path, "write_bytes", Mock(side_effect=OSError(reason, os.strerror(reason))))
     for option, path in outputs.items():
         assert run(*f"{command} {given} {option if option.startswith('-') else ''} {path}".split()) == 2

@@ -1,13 +1,11 @@
 """Long work as a user sees it: bars on a terminal, a line now and then elsewhere, nothing where none is wanted."""
 
 import io
-import re
 import signal
 import subprocess
 import sys
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import pytest
 from rich.console import Console
@@ -15,7 +13,6 @@ from rich.console import Console
 from jointid.apps.cli import console
 from jointid.apps.cli.console import Bars
 from jointid.common.messages import Detail, follow, ignore_progress
-from tests.rigid_axis import run, write_axis
 
 
 def test_work_tells_how_far_it_is_each_second(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,20 +41,6 @@ def test_who_listens_depends_on_the_terminal(terminal: bool, monkeypatch: pytest
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
     assert console.listen(quiet=True) is ignore_progress
     assert isinstance(console.listen(quiet=False), Bars) == terminal
-
-
-def interrupt(*_: Any, **__: Any) -> Any:
-    raise KeyboardInterrupt
-
-
-def test_an_estimate_is_printed_whose_checks_are_interrupted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("jointid.diagnostics.identify.run_checks", interrupt)
-    assert run("identify", write_axis(tmp_path), "-q") == 130
-    said = capsys.readouterr().out
-    assert re.match(r"Inertia (29|30)\.\d+ ± ", said)
-    assert "which was not checked" in " ".join(said.split())
 
 
 PROGRAM = """

@@ -4,16 +4,17 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import jointid as ji
+import jointid.diagnostics.identify as verb
 from jointid.config import File, load
 from jointid.controller_id.structures import Structure
 from jointid.models.robots.inertial import MassProperties
 from tests.estimation.robots.twin import arm, records_of, with_payload
-from tests.joint_files import EXAMPLE as EMPS
 from tests.learned_once import find_law
 from tests.rigid_axis import call as run
 
@@ -53,7 +54,7 @@ def write_robot(place: Path, truth: ji.robots.Robot) -> Path:
     return place
 
 
-def test_a_saved_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path) -> None:
+def test_an_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path) -> None:
     joint, found, other = folder / "robot.toml", tmp_path / "found.json", tmp_path / "other.json"
     figure = tmp_path / "torque.svg"
     for record, kept in (("one.csv", found), ("two.csv", other)):
@@ -62,10 +63,7 @@ def test_a_saved_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path
     answer = json.loads(found.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.Estimate/2" and len(answer["parameters"]) == 25
     assert answer["parameters"]["joint2.viscous"]["value"] == pytest.approx(8.0, rel=0.01)
-    for words in (("validate", EMPS), ("export", EMPS, "--out", tmp_path / "a.xml")):
-        with pytest.raises(ji.RecordError):
-            run(*words, "--estimate", found)
-    run("validate", joint, "--estimate", found, "--record", folder / "two.csv", "--json", tmp_path / "seen.json")
+    run("validate", joint, "--record", folder / "two.csv", "--json", tmp_path / "seen.json")
     seen = json.loads((tmp_path / "seen.json").read_text("utf-8"))
     assert seen["answer"]["code"] == "predicted" and all(one["nominal_error"] for one in seen["axes"])
     run("compare", found, other, "--json", tmp_path / "compared.json")
@@ -74,18 +72,23 @@ def test_a_saved_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path
     run("diagnose", joint, "--json", tmp_path / "cause.json")
     answer = json.loads((tmp_path / "cause.json").read_text(encoding="utf-8"))
     assert answer["explained"] and answer["as_declared"] is None
-    run("export", joint, "--estimate", found, "--out", tmp_path / "saved.urdf")
-    run("export", joint, "--out", tmp_path / "anew.urdf")
+    run("export", joint, "--out", tmp_path / "saved.urdf")
+    run("export", joint, "--again", "--out", tmp_path / "anew.urdf")
     assert (tmp_path / "saved.urdf").read_text("utf-8") == (tmp_path / "anew.urdf").read_text("utf-8")
 
 
-def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    search = Mock(side_effect=verb.fit_records)
+    monkeypatch.setattr(verb, "fit_records", search)
     folder = tmp_path / "robot"
     folder.mkdir()
     write_robot(folder, arm(2))
     page, other = tmp_path / "arm.html", folder / "two.csv"
     places = ("--html", page, "--json", tmp_path / "found.json")
+    run("identify", folder / "robot.toml", "--no-checks")
     run("report", folder / "robot.toml", "--held-out", other, *places)
+    run("diagnose", folder / "robot.toml")
+    assert search.call_count == 1
     said = " ".join(capsys.readouterr().out.split())
     assert "The robot predicts two" in said
     text = page.read_text(encoding="utf-8")
@@ -109,14 +112,9 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mass = answer["rows"]["mass"]
     assert answer["link"] == "link6" and mass["unit"] == "kg"
     assert mass["value"] == pytest.approx(3.0, rel=0.01)
-    saved = tmp_path / "saved.json"
-    run("identify", joint, "--json", saved)
-    run("payload", joint, "--estimate", saved, *records[2:], "--json", found)
+    run("payload", joint, *records[2:], "--json", found)  # the file's own record is without
     alone = json.loads(found.read_text(encoding="utf-8"))["rows"]["mass"]
     assert (alone["value"], alone["std"]) == pytest.approx((mass["value"], mass["std"]), rel=1e-3)
-    for given in ((*records, "--estimate", saved), records[2:]):
-        with pytest.raises(ji.MethodError):
-            run("payload", joint, *given)
     kept = folder / "kept.toml"
     kept.write_text(joint.read_text(encoding="utf-8") + "parameters.viscous.value = 3.0\n", encoding="utf-8")
     with pytest.raises(ji.MethodError):
@@ -128,7 +126,7 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     [
         ("identify", "--window", "2"),
         ("identify", "--record", "a.csv", "--record", "b.csv", "--figure", "a.png"),
-        ("simulate", "--estimate", "none.json"),
+        ("simulate", "--identified", "--axis", "none"),
         ("tune",),
         ("diagnose", "--laws"),
         ("validate",),
@@ -186,7 +184,7 @@ def test_commands_of_one_joint(
     printed = capsys.readouterr().out
     assert "position_gain = 20.00000" in printed and "velocity_gain = 1" in printed
     run("tune", robot, *axis)
-    run("simulate", robot, *axis, "--estimate", found, "--out", tmp_path / "base.csv")
+    run("simulate", robot, *axis, *by_torque, "--identified", "--out", tmp_path / "base.csv")
     assert "tau1" in (tmp_path / "base.csv").read_text(encoding="utf-8").partition("\n")[0]
 
 

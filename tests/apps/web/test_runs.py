@@ -38,7 +38,7 @@ def processes(monkeypatch: pytest.MonkeyPatch) -> list[Process]:
 def begun(asker: Asker, run: Draft, processes: list[Process]) -> None:
     """Wait until the process of an identification works."""
     for _ in range(1200):
-        if run.has("_answer.txt") and processes and processes[-1].returncode is None:
+        if run.has("_first.txt") and processes and processes[-1].returncode is None:
             time.sleep(0.5)
             return
         assert asker.page.jobs.is_running(run)
@@ -62,8 +62,8 @@ def test_from_a_log_to_files_that_repeat_the_answer(asker: Asker, log: bytes, tm
     answer = client.get(f"/runs/{run.path.name}/answer.json").json()
     for name, value in TRUTH.items():
         assert answer["parameters"][name]["value"] == pytest.approx(value, rel=0.02), name
-    assert {*run.files} == {"joint.toml", "answer.json", "report.html", "log.csv"}
-    assert command("identify", run.path / "joint.toml", "--json", tmp_path / "again.json", "-q") == 0
+    assert {*run.files} == {"joint.toml", "joint.estimate.json", "answer.json", "report.html", "log.csv"}
+    assert command("identify", run.path / "joint.toml", "--json", tmp_path / "again.json", "-q", "--again") == 0
     again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
     assert (again["parameters"], again["data"]) == (answer["parameters"], answer["data"])
     report = client.get(f"/runs/{run.path.name}/report.html")

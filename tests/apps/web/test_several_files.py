@@ -63,7 +63,7 @@ def test_a_mistake_in_the_text_is_refused_and_stays_to_be_mended(asker: Asker, l
 
 def answers_of(run: Draft, folder: Path) -> tuple[Any, Any]:
     """Return the answers of the page and of the command in the folder of the run."""
-    assert command("identify", run.path / run.file, "--json", folder / "again.json", "-q") == 0
+    assert command("identify", run.path / run.file, "--json", folder / "again.json", "-q", "--again") == 0
     return run.json("answer.json"), json.loads((folder / "again.json").read_text(encoding="utf-8"))
 
 
@@ -83,4 +83,4 @@ def test_a_robot_is_identified_as_by_the_command(asker: Asker, tmp_path: Path) -
     page, command = answers_of(run, tmp_path)
     assert page["parameters"] == command["parameters"]
     assert page["answer"]["found"]["words"].partition(" ")[0] in asker.get(f"/runs/{run.path.name}")
-    assert {*run.files} == {"robot.toml", "arm.xml", "one.csv", "report.html", "answer.json"}
+    assert {*run.files} == {"robot.toml", "robot.estimate.json", "arm.xml", "one.csv", "report.html", "answer.json"}

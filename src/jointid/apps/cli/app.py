@@ -32,7 +32,7 @@ from jointid.common.errors import JointidError
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 _SIGNALLED = 128  # added to a signal's number it is the exit code
-_ENDING = "Exit codes and --debug: docs/commands.md"
+_ENDING = "Exit codes, and options that most commands have, as --quiet: docs/commands.md"
 
 
 def _versions() -> str:

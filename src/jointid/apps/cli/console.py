@@ -6,8 +6,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -20,15 +20,15 @@ from jointid.common.messages import Detail, Progress, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
     from jointid import Estimate
-    from jointid.common.document import Documented
+    from jointid.common.document import Document, Documented
     from jointid.config import File
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
-Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())]
+Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=(), show=False)]
+Axis: TypeAlias = Annotated[str | None, Parameter(show=False)]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
 
@@ -40,7 +40,7 @@ unprinted: list[OSError] = []
 
 _BETWEEN = 10.0  # seconds between two lines on one stage
 _PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
-_BESIDE = 10  # characters of a line that are not the stage's
+_BAR, _BESIDE = 12, 24  # characters of a line that are the bar's, and that are not the stage's
 
 
 def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
@@ -91,13 +91,15 @@ class Options:
         records: the record, instead of the one the joint file names; identify takes several, in one fit.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         axis: of a robot file the name of one joint, which is taken alone, as if no other joint moved.
+        again: search again, whatever was found before in the same record, file and version.
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress.
     """
 
     records: Annotated[tuple[Path, ...], Parameter(name="--record", negative=())] = ()
     changes: Changes = ()
-    axis: str | None = None
+    axis: Axis = None
+    again: Flag = False
     json: Path | None = None
     quiet: Quiet = False
 
@@ -121,76 +123,118 @@ class Options:
         self,
         joint: Path,
         *outputs: Path | None,
-        estimate: Path | None = None,
         alone: bool = False,
         method: str = "",
     ) -> File:
-        """Load the joint file or robot file with its changes, as an estimate says; see `jointid.config.load`.
+        """Load the joint file or robot file with its changes; see `jointid.config.load`.
 
         Args:
             joint: the file.
             outputs: what the command writes, beside the JSON.
-            estimate: file of an estimate, whose choices hold.
             alone: whether the work is for a joint.
             method: of a joint, whatever the file says.
 
         Raises:
             JointFileError: it cannot be loaded.
             MethodError: it is a robot file, and the work is for a joint.
-            RecordError: an output is refused, see `spare`, the estimate is none, or a record stands for the file.
+            RecordError: an output is refused, see `spare`, or a record stands for the file.
         """
         from jointid.config import load
-        from jointid.output.json import read_choices
 
         require_kinds(joint, *self.records)
-        spare((self.json, *outputs), joint, *self.records, estimate)
-        choices = {} if estimate is None else read_choices(estimate)
-        changes = [*self.changes, *(f"joint.friction={choices[one]}" for one in choices if one == "friction")]
-        file = load(joint, changes, axis=self.axis)
-        method = choices.get("method", "") if file.robot is not None else method
+        spare((self.json, *outputs), joint, *self.records)
+        file = load(joint, self.changes, axis=self.axis)
         if alone and file.robot is not None:
             raise MethodError(f"This takes one joint, and {joint} is a robot file; name one of its joints by --axis.")
-        if method and file.method.name != method:
-            file = load(joint, [*changes, f'method={{name="{method}"}}'], axis=self.axis)
-        for record in self.records or (None,):
-            spare((self.json, *outputs), *file.inputs(record))
+        if method and file.robot is None and file.method.name != method:
+            file = load(joint, [*self.changes, f'method={{name="{method}"}}'], axis=self.axis)
+        for record in (*self.records, None):
+            spare((self.json, *outputs), place_of(file), *file.inputs(record))
         return file
 
-    def identify(self, file: File, *, checks: bool = True, whole: bool = False) -> tuple[Any, Estimate]:
-        """Identify a joint or a robot from the record, as its file says, and return the record, too.
+    def identify(
+        self, file: File, *, several: bool = False, whole: bool = False, window: float | None = None, **asked: Any
+    ) -> tuple[Any, Estimate]:
+        """Read the record of a joint or a robot, and identify it as `find` does.
 
         Args:
             file: as `load` returns it.
-            checks: whether to check the estimate; an interrupt prints the one that was not.
+            several: whether several records, where they are named or listed, are identified in one fit.
             whole: whether to identify at once, and refuse a record that is too long for it.
+            window: seconds of the windows of a log, which is read in chunks.
+            asked: further arguments of `find`.
+
+        Returns:
+            The record, None of several; and the estimate.
 
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
-        from jointid import Estimate
         from jointid.diagnostics.explain import explain_failure
         from jointid.estimation.identify import windows_of
         from jointid.estimation.result.estimate import IN_WINDOWS
 
-        record, known, progress = file.record(self.record), list[Estimate](), self.progress
-        if file.robot is None:  # the engine of a robot is another
-            ready(progress)
+        together = several and window is None and (len(self.records) > 1 or (bool(file.runs) and not self.records))
+        record: Any = None if together else file.record(self.record) if window is None else file.log(self.record)
         if whole and windows_of(record, file.setup, file.method):
             raise MethodError(IN_WINDOWS)
-        asked: dict[str, Any] = {"windows": False} if whole else {}
         try:
-            return record, file.identify(record, progress, checks=checks, unchecked=known.append, **asked)
+            return record, self.find(file, record, window, **asked)
         except JointidError as error:
-            if file.robot is not None:
+            if together or window is not None or file.robot is not None:
                 raise
-            raise explain_failure(error, record, file.loop, progress, getattr(file.method, "free", ())) from error
-        except KeyboardInterrupt:
-            if known:
-                show_result(known[0])
-            raise
+            raise explain_failure(error, record, file.loop, self.progress, getattr(file.method, "free", ())) from error
+
+    def find(
+        self,
+        file: File,
+        record: Any,
+        window: float | None = None,
+        *,
+        checks: bool = True,
+        first: Callable[[Estimate], object] = lambda _: None,
+    ) -> Estimate:
+        """Return the estimate of a record, of all that are named where it is None: kept from an earlier call, or found.
+
+        It is kept beside the file. `first` receives it before its checks, where these are still to be made.
+        """
+        from jointid.diagnostics.identify import UNCHECKED, check_later
+        from jointid.estimation.identify import windows_of
+        from jointid.output.json import keep, key_of, recall
+
+        paths = self.records or (file.listed if record is None else [Path(file.record_path())])
+        key, progress = key_of(file, paths, self.axis, self.changes, window), self.progress
+
+        def save(one: Estimate) -> Estimate:
+            try:
+                keep(place_of(file), key, one)
+            except RecordError as error:
+                progress(f"the estimate is not kept: {error}")
+            return one
+
+        apart = record is not None and window is None and not windows_of(record, file.setup, file.method)
+        apart = apart and (file.robot is not None or record.torque is not None)
+        found = None if self.again else recall(place_of(file), file, key)
+        if found is not None and not (checks and UNCHECKED in map(str, found.checks)):
+            return found
+        if file.robot is None:  # the engine of a robot is another
+            ready(progress)
+        if record is None:
+            found = save(file.identify_together(self.records, progress))
+        elif found is None or not apart:
+            found = save(file.identify(record, progress, checks=checks and not apart, windows=window))
+        if checks and UNCHECKED in map(str, found.checks):
+            first(found)
+            found = save(check_later(found, record, progress))
+        return found
 
 
 DEFAULTS = Options()
+
+
+def place_of(file: File) -> Path:
+    """Return where the estimate of a joint file or a robot file is kept, beside it."""
+    return file.path.with_suffix(".estimate.json")
 
 
 def show(line: object) -> None:
@@ -199,15 +243,23 @@ def show(line: object) -> None:
     put(f"{printable(str(line))}\n", sys.stdout)
 
 
-def show_result(result: Documented, *, details: bool = False) -> None:
-    """Print a result, in colour on a terminal, optionally with all details."""
+def show_result(result: Documented, *, details: bool = False, shown: Sequence[Document] = ()) -> Document:
+    """Print a result, in colour on a terminal, optionally with all details; return it as a document.
+
+    Of what was `shown` before its title alone is printed again.
+    """
     from jointid.common.document import plain_console
 
+    whole, known = result.to_document(details=details), [block for one in shown for block in one.blocks]
+    new = replace(whole, blocks=tuple(block for block in whole.blocks if block not in known))
+    if shown:
+        show("")
     if sys.stdout.isatty():
         clear_bars()
-        result.to_document(details=details).print(plain_console())
+        new.print(plain_console())
     else:
-        show(result.summary(details=details))
+        show(new.text())
+    return whole
 
 
 def tell(message: str) -> None:
@@ -227,7 +279,7 @@ def put(text: str, stream: IO[str]) -> None:
 
 
 class Bars:
-    """Draws on the standard error one line that is rewritten: the stage, or how far a piece of work is.
+    """Draws on the standard error one line that is rewritten: a bar with the stage, and the seconds it has taken.
 
     What is done leaves nothing there, but for a sentence that is longer than a line.
 
@@ -237,9 +289,12 @@ class Bars:
 
     def __init__(self, console: Console | None = None) -> None:
         from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         self._console = console or Console(file=sys.stderr)
-        self._status = self._console.status("")
+        parts = BarColumn(_BAR), TimeElapsedColumn(), TextColumn("{task.description}", markup=False)
+        self._bar = Progress(*parts, console=self._console, transient=True)
+        self._task = self._bar.add_task("", total=None)
 
     def __call__(self, message: str) -> None:
         """Rewrite the line; print a sentence that is longer above it."""
@@ -249,12 +304,12 @@ class Bars:
         if len(stage) > self._console.width - _BESIDE:
             self._console.print(Text(stage), soft_wrap=True)
         elif stage:
-            self._status.update(Text(stage))
-            self._status.start()
+            self._bar.update(self._task, description=stage)
+            self._bar.start()
 
     def clear(self) -> None:
         """Take the line off."""
-        self._status.stop()
+        self._bar.stop()
 
 
 _bars = lru_cache(maxsize=1)(Bars)
@@ -289,23 +344,13 @@ def clear_bars() -> None:
         _bars().clear()
 
 
-def deliver(
-    result: Documented,
-    json: Path | None = None,
-    *figures: tuple[Path | None, Callable[[Any], Figure]],
-    details: bool = False,
-) -> None:
-    """Print a result, and write it as JSON and as figures where requested."""
+def deliver(result: Documented, json: Path | None = None, **printed: Any) -> None:
+    """Print a result as `show_result` does, and write it as JSON where that is requested."""
     from jointid.output import json as answers
 
-    show_result(result, details=details)
+    show_result(result, **printed)
     if json is not None:
         answers.write(answers.to_dict(result), json)
-    for path, draw in figures:
-        if path is not None:
-            from jointid import figures as every
-
-            every.save(draw(result), path)
 
 
 def ready(listener: Progress, *, derivatives: bool = True) -> None:

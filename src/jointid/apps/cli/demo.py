@@ -90,12 +90,10 @@ def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
     """Identify as the file of this name says, write answer and figure, and return them beside the truth."""
     from jointid import figures
     from jointid.estimation.result.summary import parameters_table
-    from jointid.output import json as answers
 
     listener("identifying it from motor torque and reference alone")
     options = Options(quiet=True)
     estimate = options.identify(options.load(folder / name))[1]
-    answers.write(answers.to_dict(estimate), folder / "estimate.json")
     figures.save(figures.torque(estimate), folder / "torque.png")
     if estimate.robot is not None:
         values = estimate.robot.parameters_of(truth)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, Quiet, deliver, ready, show, spare
+from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, Quiet, deliver, show, show_result, spare
 from jointid.common.errors import MethodError
 
 
@@ -19,10 +20,12 @@ def identify(
     window: float | None = None,
     figure: Path | None = None,
     details: Flag = False,
+    no_checks: Flag = False,
 ) -> None:
     """Identify a joint or a robot from its record.
 
-    Or from several records in one fit, or from hours of a log in bounded memory.
+    Or from several records in one fit, or from hours of a log in bounded memory. The values are printed first, then
+    their checks. What is found is kept beside the joint file, and other commands begin from it.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
@@ -31,8 +34,9 @@ def identify(
             identified in windows, and tested for drift.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
+        no_checks: leave out the checks, which the answer says.
     """
-    from jointid import figures
+    from jointid import figures, validate
     from jointid.estimation.result.estimate import IN_WINDOWS
 
     figures.require_format(figure)
@@ -40,15 +44,16 @@ def identify(
     file = options.load(joint, figure, alone=window is not None or (several and figure is not None))
     if window is not None and figure is not None:
         raise MethodError(IN_WINDOWS)
-    if window is None and not several and (options.records or not file.runs):
-        estimate = options.identify(file, whole=figure is not None)[1]
-    else:
-        ready(options.progress)
-        if window is not None:
-            estimate = file.identify(file.log(options.record), options.progress, windows=window)
-        else:
-            estimate = file.identify_together(options.records, options.progress)
-    deliver(estimate, options.json, (figure, figures.torque), details=details)
+    if figure is not None and (several or file.runs):
+        options = replace(options, again=True)  # the torque of several records is not kept
+    shown = list[Any]()
+    record, found = options.identify(
+        file, several=True, whole=figure is not None, window=window, checks=not no_checks,
+        first=lambda one: shown.append(show_result(one, details=details)),
+    )  # fmt: skip
+    deliver(found, options.json, details=details, shown=shown)
+    if figure is not None:
+        figures.save(figures.torque(found if found.fit.measured.size else validate(found, record)), figure)
 
 
 def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path | None = None) -> None:
@@ -91,7 +96,6 @@ def tune(
     gain_margin: float = 2.0,
     phase_margin: float = 45.0,
     notch: bool = True,
-    figure: Path | None = None,
 ) -> None:
     """Propose gains, and tell the margins of the loop.
 
@@ -103,16 +107,13 @@ def tune(
         gain_margin: that the proposed loop keeps in the worst case, a ratio; 2 is 6 dB.
         phase_margin: likewise, degrees.
         notch: whether one may be proposed.
-        figure: also save the response of the loop as PNG, SVG or PDF.
     """
-    from jointid import figures
     from jointid import tune as run
 
-    figures.require_format(figure)
-    file = options.load(joint, figure, alone=True, method="didim")
+    file = options.load(joint, alone=True, method="didim")
     _, estimate = options.identify(file)
     tuned = run(estimate, progress=options.progress, gain_margin=gain_margin, phase_margin=phase_margin, notch=notch)
-    deliver(tuned, options.json, (figure, lambda one: one.plot()))
+    deliver(tuned, options.json)
 
 
 def payload(
@@ -121,8 +122,8 @@ def payload(
     *,
     with_: Annotated[Path, Parameter(name="--with")],
     without: Path | None = None,
-    estimate: Path | None = None,
     changes: Changes = (),
+    again: Flag = False,
     json: Path | None = None,
     quiet: Quiet = False,
 ) -> None:
@@ -135,23 +136,18 @@ def payload(
     Args:
         robot: the robot file (TOML), which has the table [robot].
         with_: the record with the payload.
-        without: the record without it, of the same or another motion.
-        estimate: instead of the record without it what identify --json wrote of the robot.
+        without: the record without it, of the same or another motion; that of the file when None.
         changes: a key of the robot file and its value, as method.estimator=ols; may be given several times.
+        again: search again, whatever was found before.
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """
     from jointid.estimation.robots.bodies import identify_payload
-    from jointid.output.json import load_estimate
 
     spare((json,), without, with_)
-    options = Options(changes=changes, json=json, quiet=quiet)
-    if (without is None) == (estimate is None):
-        raise MethodError(
-            "A payload is weighed against the robot without it; expected either --without RECORD or --estimate FILE, "
-            f"of identify --json, and received {'neither' if without is None else 'both'}."
-        )
-    file = options.load(robot, estimate=estimate)
+    records = () if without is None else (without,)
+    options = Options(records=records, changes=changes, again=again, json=json, quiet=quiet)
+    file = options.load(robot)
     if file.robot is None:
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
     if file.parameters:
@@ -159,8 +155,8 @@ def payload(
             f"joints.parameters keeps {', '.join(file.parameters)}, and a payload is identified with all parameters "
             "free; leave joints.parameters out."
         )
-    empty = file.record(without) if estimate is None else load_estimate(estimate, file)
     found = identify_payload(
-        file.setup, empty, file.record(with_), file.method, filtering=file.filtering, progress=options.progress
-    )
+        file.setup, options.identify(file, checks=False)[1], file.record(with_), file.method, filtering=file.filtering,
+        progress=options.progress,
+    )  # fmt: skip
     deliver(found, json)

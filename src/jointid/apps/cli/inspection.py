@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready, require_kinds, show, spare
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, require_kinds, show, spare
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 
@@ -99,21 +100,21 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
 def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Diagnosis:
     """Diagnose one record, print what is found, and write it."""
     from jointid.diagnostics.diagnose import diagnose as run
-    from jointid.diagnostics.diagnose import unreadable
+    from jointid.diagnostics.diagnosis import Diagnosis, Symptom
 
     try:
         record = file.record(path)
     except RecordError as error:
         if not path.exists():
             raise
-        found = unreadable(error, path.stem)
+        found = Diagnosis(path.stem, symptoms=tuple(Symptom("unreadable", one) for one in error.faults))
         deliver(found, options.json)
         return found
-    ready(options.progress)
+    alone = replace(options, records=(path,))
     robot: dict[str, Any] = {} if file.robot is None else {"controllers": file.controllers}
     found = run(
         record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters, laws=laws,
-        progress=options.progress, **robot,
+        search=lambda *_, **__: alone.find(file, record), progress=options.progress, **robot,
     )  # fmt: skip
     deliver(found, options.json)
     return found

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from jointid.apps.cli.console import DEFAULTS, Options, Quiet, deliver, listen, ready, show, spare
+from cyclopts import Parameter
+
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, deliver, listen, ready, show, spare
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import require_room
 
@@ -23,12 +25,11 @@ def design(
     options: Options = DEFAULTS,
     goal: str = "all",
     duration: float | None = None,
-    injection: bool = True,
+    injection: Annotated[bool, Parameter(show=False)] = True,
     search_time: float = 60.0,
-    within: float | None = None,
-    motion: Path | None = None,
+    within: Annotated[float | None, Parameter(show=False)] = None,
+    motion: Annotated[Path | None, Parameter(show=False)] = None,
     out: Path | None = None,
-    figure: Path | None = None,
 ) -> None:
     """Plan the next test within the limits of the axis.
 
@@ -50,19 +51,15 @@ def design(
             "injected", in the torque's unit, if a signal is added to the torque.
         out: also write the test into this folder: a CSV file in the columns, units and sides of the joint file, a page
             on how to run it, and, without a signal on the torque, the motion as a ROS 2 JointTrajectory (YAML).
-        figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
     from jointid import design as run
-    from jointid import figures
     from jointid.planning.predict import parse_goal
 
-    figures.require_format(figure)
-    outputs = [figure]
     if out is not None:
         require_room(out)
-        outputs += [out / "test.csv"] if out.is_dir() else []  # the only one that may be a record
-    spare((options.json, *outputs), motion)
-    file = options.load(joint, *outputs, method="didim")
+    test = out / "test.csv" if out is not None and out.is_dir() else None  # the only one that may be a record
+    spare((options.json, test), motion)
+    file = options.load(joint, test, method="didim")
     if file.robot is None:
         own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
         parse_goal(goal, {p.name: file.joint.unit(p) for p in own if p.free})  # refused before the record is read
@@ -72,12 +69,12 @@ def design(
         "motion": None if motion is None else file.record(motion, driving=True),
     }  # fmt: skip
     if file.robot is None:
-        record, estimate = options.identify(file, checks=False, whole=True)
+        record, estimate = options.identify(file, whole=True)
         found = run(estimate, record, **asked)
     else:
         found = _plan_robot(file, options, asked)
     found = file.lay_out(found)
-    deliver(found, options.json, (figure, lambda one: one.plot()))
+    deliver(found, options.json)
     if out is not None:
         paths = found.write(out)
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
@@ -93,8 +90,8 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
     known = all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
     if options.record is not None or file.source.file is not None or not (known or asked["motion"]):
         try:
-            records = file.record(options.record)
-            return design(file.identify(records, options.progress, checks=False), records, **asked)
+            records, estimate = options.identify(file)
+            return design(estimate, records, **asked)
         except RecordError as error:  # references to simulate, or a log that is still to be made
             if options.record is not None or not (known or asked["motion"]):
                 raise
@@ -108,26 +105,27 @@ def simulate(
     /,
     *,
     options: Options = DEFAULTS,
-    estimate: Path | None = None,
+    identified: Flag = False,
     out: Path | None = None,
 ) -> None:
     """Simulate a joint or a robot under its controller.
 
     It is driven by the reference of a record, and what its drive would log is written.
     The reference of --record, and the injected signal if it has one, drive the loop; --json takes a summary. The
-    parameters are those of an estimate, or the fixed values and starts of the file.
+    parameters are the fixed values and starts of the file.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
-        estimate: what identify --json wrote; its parameters are used.
+        identified: with the parameters that the record of the file gives instead; of two --record, the first.
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
     """
-    from jointid.output.json import load_estimate, write
+    from jointid.output.json import write
 
-    file = options.load(joint, out, estimate=estimate)
-    found = None if estimate is None else load_estimate(estimate, file)
+    file = options.load(joint, out)
+    own, options = (replace(options, records=one) for one in (options.records[:-1], options.records[-1:]))
+    found = own.identify(file, several=True)[1] if identified else None
     simulation, logged, answer = (_simulate_joint if file.robot is None else _simulate_robot)(file, found, options)
     peaks = abs(simulation.torque).reshape(len(simulation.torque), -1).max(axis=0)
     of_each = (

@@ -129,8 +129,9 @@ class Jobs:
 async def _identify(run: Draft, learn: bool) -> None:
     """Identify by the commands that a person would give, one after the other; without a report an answer stays."""
     commands = {
+        "_first.txt": ("identify", run.file, "--no-checks", "--json", "answer.json"),
         "_answer.txt": ("identify", run.file, "--json", "answer.json"),
-        "_log.txt": ("report", run.file, "--estimate", "answer.json", "--html", "report.html"),
+        "_log.txt": ("report", run.file, "--html", "report.html"),
     }
     if learn:
         commands = {"_learned.txt": ("learn-controller", run.file, "--write", "learned.toml")} | commands

@@ -238,21 +238,12 @@ class Estimate(Documented):
         notes: on how the intervals were obtained, one sentence each.
         diagnosis: of loop, log and residual, axis by axis, a `Diagnosis`; None where it was not made.
         robot: of a robot what was identified as it is simulated; None for a joint.
-        problem, x: the closed loop that was simulated, and its free parameters; None for other methods.
+        problem, x: the closed loop that was simulated, and its free parameters; None for other methods. An estimate
+            without checks keeps x.
         records: the one record of a joint, or those of a robot's joints; else none.
         solved: of a robot that was simulated along one log; None elsewhere.
         shifts: (free,) each, by which the deviations of a joint's simulation were widened.
         window: of a log in windows the fit of the one that the search began with, which is checked.
-
-    Example:
-        >>> import jointid as ji
-        >>> law = ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0)
-        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
-        >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-        >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-        >>> estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop)
-        >>> round(estimate["inertia"].value, 6), estimate.fit.converged
-        (30.0, True)
     """
 
     in_json = (

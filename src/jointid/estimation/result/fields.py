@@ -20,28 +20,30 @@ import numpy as np
 from jointid.common.files import write_whole
 
 
-def plain(value: Any) -> Any:
-    """Return a value as JSON has it: a data class by its fields; an array, a tuple or a set as a list."""
+def plain(value: Any, whole: bool = False) -> Any:
+    """Return a value as JSON has it: a data class by its fields, or `whole`: those that `read` gives back."""
     kind: Any = type(value)
     if is_dataclass(value):
-        every = {name: kind.__name__ if name == "type" else plain(getattr(value, name)) for name in _names(kind)}
+        names = _names(kind, whole)
+        every = {name: kind.__name__ if name == "type" else plain(getattr(value, name), whole) for name in names}
         return {name: part for name, part in every.items() if part != {} or isinstance(getattr(value, name), Mapping)}
     if isinstance(value, Enum):
         return str(value) if isinstance(value, StrEnum) else value.name.lower()
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: plain(item, whole) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     items = sorted(value) if kind is frozenset else value
-    return [plain(item) for item in items] if isinstance(items, list | tuple) else value
+    return [plain(item, whole) for item in items] if isinstance(items, list | tuple) else value
 
 
 @cache
-def _names(kind: Any) -> tuple[str, ...]:
-    said = getattr(kind, "in_json", "").split()
-    every = [field.name for field in fields(kind) if "array" not in str(field.type).lower()]
+def _names(kind: Any, whole: bool) -> tuple[str, ...]:
+    said = [] if whole else getattr(kind, "in_json", "").split()
+    left_out = ("array", *(("callable", "controller", "torques") if whole else ()))
+    every = [field.name for field in fields(kind) if not any(one in str(field.type).lower() for one in left_out)]
     return tuple(dict.fromkeys(name for name in (*every, *said) if name[0] != "-" and f"-{name}" not in said))
 
 

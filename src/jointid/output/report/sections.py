@@ -155,11 +155,6 @@ _PICTURES = {
         "spring the motor shows a dip at the motor-locked frequency and a peak at the free-free one; a controller has "
         "to stay away from the latter, or damp it.",
     ),
-    "correlation": (
-        "Correlations",
-        "Correlations of the errors. Where one is near 1 or -1 the record tells a sum or a difference of the two, not "
-        "each.",
-    ),
     "profiles": (
         "Profiles",
         "Each quantity held away from its estimate, all others fitted again: how many standard deviations the "
@@ -233,7 +228,6 @@ def draw_figures(given: Report) -> dict[str, Figure]:
         "spectra": lambda: charts.spectra_figure(axes, cutoff, {} if estimate.robot else estimate.frequencies),
     }
     if estimate.robot is None:
-        every["correlation"] = lambda: charts.correlation_figure(estimate)
         every["profiles"] = lambda: charts.profiles_figure(estimate, given.profiles)
         if given.response is not None:
             every["response"] = partial(charts.response_figure, estimate, given.response)
@@ -249,7 +243,7 @@ def draw_figures(given: Report) -> dict[str, Figure]:
 def _picture(given: Report, figures: Mapping[str, Figure], name: str) -> Picture:
     motion = "simulated" if given.estimate.settings.method == "didim" else "measured"
     words = _PICTURES[name][1].format(motion=motion)
-    return Picture(f"{name}.svg", partial(svg, figures[name], name), words, wide=name != "correlation")
+    return Picture(f"{name}.svg", partial(svg, figures[name], name), words)
 
 
 def _result(given: Report) -> Iterator[Block]:
