@@ -107,7 +107,7 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
     command, _ = _follow(kept, (), (still, still, states), explicit)
     for column, j, pushed, _ in explicit:
         command[j, :, column] -= clock.repeat(j, pushed @ np.ones(pushed.shape[1]))
-    return [_show(kept, j, command[j, :, :count], ()) for j in range(len(experiment.axes))], direct
+    return [_show(kept, j, command[j, :, :count], ()).copy() for j in range(len(experiment.axes))], direct
 
 
 def _show(kept: Run, j: int, command: FloatArray, keys: Sequence[Place]) -> FloatArray:

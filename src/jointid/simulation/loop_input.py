@@ -410,13 +410,14 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
 
 
 def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:
-    """Convert a controller signal to the log's torque channel; linear.
+    """Convert a controller signal to the log's torque channel; linear. Where the log shows just that, return a view.
 
-    The signal, (periods,) or (periods, columns), is the torque before the delay: piecewise constant over periods, or
-    parts of periods.
+    The signal, (periods,) or (periods, columns), is the torque before the delay: piecewise constant over periods.
     """
+    clock = axis.clock
     if axis.timing is not Timing.AVERAGED:
-        return np.take(signal, _sources(axis, len(signal))[axis.clock.log_index], axis=0)
+        plain = clock.skips == clock.lengths.size == 1 and not (axis.tap is Tap.MEASURED and np.any(clock.lags))
+        return signal[: clock.samples] if plain else np.take(signal, _sources(axis, len(signal))[clock.log_index], 0)
     lengths = np.tile(axis.clock.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
     means = averages(axis, lengths * (shown := acting(axis, signal)))
     means[0] = shown[0]

@@ -247,9 +247,9 @@ def pass_on(torques: FloatArray, step: float) -> SampledLoop:
 
 def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the motion as each part begins: positions, velocities, accelerations and modes, (parts, masses) each."""
-    first = tape[np.flatnonzero(np.diff(tape[:, PART], prepend=-1.0))[:parts]]
-    position, velocity, acceleration, _, modes = (
-        first[:, STATE + i * masses : STATE + (i + 1) * masses] for i in range(5)
+    first = np.flatnonzero(np.diff(tape[:, PART], prepend=-1.0))[:parts]
+    position, velocity, acceleration, modes = (
+        np.take(tape[:, STATE + i * masses : STATE + (i + 1) * masses], first, 0) for i in (0, 1, 2, 4)
     )
     return position, velocity, acceleration, modes
 

@@ -39,10 +39,7 @@ from jointid.estimation.result.estimate import Estimate, Settings, build_estimat
 from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
-from jointid.records.signals.filtering import (
-    Filtering,
-    describe_noise_limit,
-)
+from jointid.records.signals.filtering import Filtering, describe_noise_limit
 from jointid.simulation.drive_side import PARTS, DriveSide, prescribe
 from jointid.simulation.plant import LOAD_STATE
 from jointid.uncertainty.covariance import Influence
@@ -56,11 +53,7 @@ _LOWEST, _HIGHEST = 0.05, 1.5  # of the cut-off: the free-free modes that are se
 
 
 def motion_problem(
-    record: Record,
-    setup: DriveSide,
-    filtering: Filtering,
-    parameters: tuple[Parameter, ...],
-    delay: Parameter,
+    record: Record, setup: DriveSide, filtering: Filtering, parameters: tuple[Parameter, ...], delay: Parameter
 ) -> ClosedLoopProblem:
     """Return the problem of reproducing a record's torque along its motor motion.
 

@@ -13,12 +13,7 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.descent import Solved
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.parameters import (
-    RobotParameters,
-    begin_delays,
-    robot_parameters,
-    with_delays,
-)
+from jointid.estimation.parameters import RobotParameters, begin_delays, robot_parameters, with_delays
 from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import (

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import number
@@ -30,6 +30,7 @@ _SLOWEST = 1e-5  # of the Nyquist frequency: a cut-off below is a wrong number
 _ROOM = 0.8  # of the new Nyquist frequency is left to the pass band
 _RIPPLE = 0.05  # dB of the decimation filter
 _ORDER = 8  # of the decimation filter
+_BUFFER = Room()
 _AT_REST = 1e-8  # of the top speed: less is rounding, whose sign is no direction
 _BEGINS = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}  # samples from the stamp to a torque's action
 _POSITION_ORDER = 4  # of the position filter: for IDIM the highest derivative plus 2
@@ -195,13 +196,14 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
     keep, samples, padding = filtering.decimation, len(parts[0]), 3 * _ORDER
     _require_samples(samples, padding)
     sections, initial = _design_decimation(2 * filtering.cutoff * sample_time)
-    rows = np.column_stack(parts)
-    begin, end = 2 * rows[0] - rows[padding:0:-1], 2 * rows[-1] - rows[-2 : -2 - padding : -1]
-    rows = np.concatenate([begin, rows, end], dtype=np.float64)
+    ends = np.cumsum([1 if part.ndim == 1 else part.shape[1] for part in parts])
+    rows = _BUFFER.array("rows", (samples + 2 * padding, int(ends[-1])))
+    inside = np.concatenate([part.reshape(samples, -1) for part in parts], axis=1, out=rows[padding:-padding])
+    rows[:padding] = 2 * inside[0] - inside[padding:0:-1]
+    rows[-padding:] = 2 * inside[-1] - inside[-2 : -2 - padding : -1]
     for first, step in ((0, 1), (-1, -1)):
         filter_rows(sections, np.multiply.outer(initial, rows[first]), rows, step)
-    kept = np.asfortranarray(rows[padding + (samples - 1) % keep : padding + samples : keep])
-    ends = np.cumsum([1 if part.ndim == 1 else part.shape[1] for part in parts])
+    kept = np.array(inside[(samples - 1) % keep :: keep], order="F")
     split = np.split(kept, ends[:-1], axis=1)
     return [one[:, 0] if part.ndim == 1 else one for part, one in zip(parts, split, strict=True)]
 
@@ -384,9 +386,7 @@ def describe_noise_limit(filtering: Filtering, limit: float, sample_time: float,
         sample_time: s.
         model: of the joint, "rigid" or "flexible".
     """
-    cutoff = filtering.cutoff
-    assert cutoff is not None
-    default = default_cutoffs(sample_time, model)[1]
+    default, cutoff = default_cutoffs(sample_time, model)[1], filtering.cutoff or math.inf
     if cutoff <= limit * (1 + 1e-9) or limit >= default:
         return ()
     why = f"noise or steps of the positions pull an inertia if they pass above {number(limit, 3)} Hz"

@@ -350,8 +350,7 @@ def ride(
 
 def _prefer_wide_vectors(_: Any) -> tuple[Any, Any]:
     def lower(context: Any, builder: Any, *_: Any) -> Any:
-        # A set whose own `add` knows the attributes without a value only, so call that of any set.
-        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # their own `add` takes no values
         return context.get_dummy_value()
 
     return types.void(), lower
