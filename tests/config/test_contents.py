@@ -65,34 +65,21 @@ def test_all_of_a_file() -> None:
     )
     joint = ji.FlexibleJoint("revolute", ji.friction.Friction("asymmetric"), "A")
     known = {parameter.name: parameter for parameter in joint.parameters}
-    axis = Axis(
-        name="axis 3",
-        joint=joint,
-        columns={
-            "torque": ji.Column("i", "mA", 0.5, -1, Timing.AVERAGED, tap=Tap.MEASURED),
-            "load_position": ji.Column("p", optional=True, sample_time=0.002),
-            "injected": ji.Column("x", "A", in_torque=False),
-        },
-        parameters={
-            "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
-            "motor_inertia": dataclasses.replace(known["motor_inertia"].fix(0.1), upper=1.0),
-        },
-        source=Source(
-            "runs/run1.csv",
-            "stamp",
-            "ms",
-            0.001,
-            options={"delimiter": ";", "decimal": ",", "header": True},
-            resample=Resampling(1e-3, "cubic", longest_gap=0),
-        ),
-    )
-    assert file == File(
-        axes=(axis,),
-        method=ji.IDIM("iv"),
-        filtering=ji.Filtering(100.0, 20.0, 5, (10, 0), "as_sampled"),
-        parameters=axis.parameters,
-        name="axis 3",
-    )
+    columns = {
+        "torque": ji.Column("i", "mA", 0.5, -1, Timing.AVERAGED, tap=Tap.MEASURED),
+        "load_position": ji.Column("p", optional=True, sample_time=0.002),
+        "injected": ji.Column("x", "A", in_torque=False),
+    }
+    known = {
+        "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
+        "motor_inertia": dataclasses.replace(known["motor_inertia"].fix(0.1), upper=1.0),
+    }
+    options, resample = {"delimiter": ";", "decimal": ",", "header": True}, Resampling(1e-3, "cubic", longest_gap=0)
+    source = Source("runs/run1.csv", "stamp", "ms", 0.001, options=options, resample=resample)
+    axis = Axis(name="axis 3", joint=joint, columns=columns, parameters=known, source=source)
+    filtering = ji.Filtering(100.0, 20.0, 5, (10, 0), "as_sampled")
+    method = ji.IDIM("iv")
+    assert file == File(axes=(axis,), method=method, filtering=filtering, parameters=known, name="axis 3")
     assert file.path == Path("here/joint.toml")
 
 
@@ -140,13 +127,6 @@ def test_values_are_those_fixed_and_those_started_from() -> None:
     assert file.axis.values() == {"inertia": 90.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}
     with pytest.raises(ji.MethodError, match=r"every parameter; without one: inertia, viscous, coulomb, offset"):
         loads(SMALLEST).axis.values()
-
-
-def test_settings_of_the_drive_side_come_back() -> None:
-    text = JOINT + 'model = "flexible"\n' + CHANNELS + '[method]\nname = "drive_side"\nlog_delay = -4e-4\n'
-    file = loads(text)
-    assert file.method == ji.DriveSideFit(-4e-4)
-    assert loads(dumps(file)).method == file.method
 
 
 def test_the_files_on_the_page_are_right() -> None:

@@ -20,7 +20,7 @@ FILTERING = ji.Filtering(cutoff=60.0)
 
 
 def problem_of(record: Record, delay: float | None = None) -> ClosedLoopProblem:
-    return motion_problem(record, DriveSide(JOINT), FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
+    return motion_problem([record], DriveSide(JOINT), FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
 
 
 @pytest.mark.slow

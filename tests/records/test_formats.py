@@ -148,13 +148,6 @@ def test_the_unit_of_the_file_counts_where_none_is_stated(tmp_path: Path) -> Non
     np.testing.assert_array_equal(said.reference.values, POSITION)
 
 
-def test_thousands_of_columns_are_told_in_a_thousand_lines(tmp_path: Path) -> None:
-    write_table(tmp_path / "wide.npy", Table({str(k): np.arange(3.0) for k in range(1, 2503)}))
-    inspection = ji.inspect(tmp_path / "wide.npy")
-    assert len(inspection.channels) == len(to_dict(inspection)["channels"]) == 2502
-    assert len(inspection.summary().splitlines()) < 1020
-
-
 def test_clocks_of_different_lengths_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     columns = {"a/time": np.arange(9) / 10, "a/q": np.ones(9), "b/time [ms]": np.arange(5.0), "b/q": np.ones(5),
@@ -177,11 +170,3 @@ def test_hostile_names_are_shown_escaped(tmp_path: Path) -> None:
     text = str(inspection)
     assert all(character.isprintable() or character == "\n" for character in text)
     assert "\\x1b[2J\\x07q\\n\\u202ex" in text
-
-
-def test_a_channel_without_numbers_is_shown(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text("t,q\n0,\n1,\n2,\n", encoding="utf-8")
-    inspection = ji.inspect(path)
-    assert inspection.channels[1].minimum is None
-    assert '"minimum": null' in dumps(to_dict(inspection))

@@ -7,12 +7,13 @@ import pytest
 
 import jointid as ji
 from jointid.records.chunks import InMemory, Log
+from jointid.records.clock import Cut
 from jointid.records.formats import Table, read_blocks, read_table, write_table
 from jointid.records.formats.table import join_tables
 from jointid.records.record import Channel, Injection, Record
 
 CHANNELS = {"torque": "torque", "reference": "reference"}
-ROWS = 97
+ROWS, LEFT_OUT = 97, ((0.345, 0.495),)
 
 
 def numbers(rows: int = ROWS) -> dict[str, np.ndarray]:
@@ -62,7 +63,9 @@ def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad:
 
 
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
-    whole, log = ji.read(path, CHANNELS), Log(path, CHANNELS)
+    whole, log = ji.read(path, CHANNELS, leave_out=LEFT_OUT), Log(path, CHANNELS, {"cut": Cut(leave_out=LEFT_OUT)})
+    counts = whole.counts(ROWS, 0.01)
+    assert np.flatnonzero(counts == 0.0).tolist() == list(range(35, 50))
     assert log.sample_time == pytest.approx(0.01)
     assert log.name == "day"
     pieces, same = list(log.chunks(20, 6)), list(InMemory(whole).chunks(20, 6))
@@ -70,6 +73,8 @@ def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
     assert [p.last for p in pieces] == [p.last for p in same] == [False] * 4 + [True]
     for piece, cut in zip(pieces, same, strict=True):
         first = 20 * piece.number
+        for one in (piece.record, cut.record):
+            np.testing.assert_array_equal(one.counts(len(one.torque), 0.01), counts[first : first + 26])
         assert piece.record.begin == pytest.approx(cut.record.begin) == pytest.approx(0.01 * first)
         for (_, channel), (_, other), (_, all_of_it) in zip(
             piece.record.items(), cut.record.items(), whole.items(), strict=True

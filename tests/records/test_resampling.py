@@ -132,12 +132,6 @@ def test_what_cannot_be_made_up_is_refused(saved: Saved, name: str) -> None:
         read(saved(t=stamps, q=np.arange(stamps.size)), Resampling(**{"sample_time": T, "method": "cubic", **how}))
 
 
-def test_a_sample_that_was_logged_twice_is_left_out(saved: Saved) -> None:
-    twice = np.repeat(STAMPS, np.where(np.arange(400) % 7 == 0, 2, 1))
-    once, again = (read(saved(t=t, q=t**2), Resampling(T, "cubic")) for t in (STAMPS, twice))
-    np.testing.assert_array_equal(values(once), values(again))
-
-
 def test_channels_of_two_clocks_keep_their_rates_until_they_are_brought_to_one(saved: Saved) -> None:
     slow, fast = np.arange(101) * 4e-3, np.arange(401) * 1e-3
     path = saved(ts=slow, tf=fast, i=np.cos(slow), q=fast**3)

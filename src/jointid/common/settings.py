@@ -134,7 +134,7 @@ _WORDS: Mapping[Any, str] = {
     str: "text in quotes",
     tuple[str, ...]: "a list of names in quotes",
     tuple[float, ...]: "a list of one or more numbers",
-    Mapping[str, float]: "a table of numbers",
+    tuple[tuple[float, float], ...]: "a list of [begin, end]",
 }
 
 

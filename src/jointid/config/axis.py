@@ -89,10 +89,7 @@ class AxisUnits:
     def gain(self, law: Controller, given: float | None, texts: Mapping[str, str]) -> tuple[float, str]:
         """Return the gain from a controller's output to torque on its side, given or known, and the output's unit.
 
-        Args:
-            law: the controller.
-            given: the gain that the file gives.
-            texts: of its numbers that are given with a unit, by the path of their key.
+        Texts are those of its numbers that are given with a unit, by the path of their key.
 
         Raises:
             JointFileError: it is not known, or its numbers are of different outputs.
@@ -168,13 +165,7 @@ class Axis:
         return self.source.torque == "from_controller" or (not logged and self.controller is not None)
 
     def read_record(self, table: RecordedTable, name: str, *, driving: bool = False) -> Record:
-        """Return the record of this axis from a table of columns; see `File.record`.
-
-        Args:
-            table: as the file of the record has it.
-            name: of the record.
-            driving: whether it is to drive a simulation, which needs a reference and no more.
-        """
+        """Return the record of this axis, called so, from a table of columns; see `File.record`."""
         columns = self._driving_columns(table.columns) if driving else self.channels
         record = RecordReader(columns, **self.reading).build_record(table, name)
         if driving:
@@ -236,7 +227,7 @@ class Axis:
         source = self.source
         clock = {"time": source.time, "time_unit": source.time_unit, "sample_time": source.sample_time}
         joint = {"drive": self.drive, "kind": self.joint.kind, "transmission": self.joint.transmission}
-        cut = Cut(source.start, source.stop, source.part)
+        cut = Cut(source.start, source.stop, source.part, source.leave_out)
         return {**clock, **joint, "resample": source.resample, "cut": cut}
 
     def values(self) -> dict[str, float]:

@@ -187,6 +187,8 @@ class File:
     def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
         """Read the record of every axis, from one reading of the file; all begin at one instant, see `record`."""
         path = self.record_path(path)
+        if self.source.parts:
+            raise MethodError("record.parts are several records, and this takes one; give start and stop instead.")
         table = read_table(path, **self.source.options)
         found, faults = list[Record](), dict[Fault, list[str]]()
         for axis in self.axes:
@@ -247,14 +249,21 @@ class File:
         Raises:
             JointidError: see `jointid.identify`.
         """
-        each = [self.record(path) for path in paths or self.listed]
-        if self.robot is not None:
-            return self.identify(each, progress)
-        runs, gear = [self._run(path) for path in paths or self.listed], self.joint.transmission
+        pairs = self.each(paths)
+        each = [part.record(path) for part, path in pairs]
+        if self.robot is not None or len(each) == 1:
+            return self.identify(each if len(each) > 1 else each[0], progress)
+        runs, gear = [self._run(path) for _, path in pairs], self.joint.transmission
         to_joint = 1.0 if gear is None else gear.torque("load") ** 2
         added = [to_joint * run.added_inertia for run in runs]
         several = {"added_inertia": added, "own": [run.own for run in runs], "free": self.together}
         return self.identify(each, progress, several=several)
+
+    def each(self, paths: Sequence[str | os.PathLike[str]] = ()) -> list[tuple[File, str | os.PathLike[str]]]:
+        """Return each part of each record, as a file of it alone, beside the record's path; see `identify_together`."""
+        cuts = [replace(self.source, start=begin, stop=end, parts=()) for begin, end in self.source.parts]
+        files = [replace(self, axes=tuple(replace(axis, source=one) for axis in self.axes)) for one in cuts] or [self]
+        return [(file, path) for path in paths or self.listed or [self.record_path()] for file in files]
 
     @property
     def learn_settings(self) -> dict[str, Any]:
@@ -280,8 +289,8 @@ class File:
 
     @property
     def only_lists(self) -> bool:
-        """Whether the file lists all its records, for one fit of them."""
-        return bool(self.runs) and self.source.file is None
+        """Whether the file lists all its records, or their parts, for one fit of them."""
+        return bool(self.source.parts) or (bool(self.runs) and self.source.file is None)
 
     def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
         """Return the path of the record: that one, or the one this file names.

@@ -94,13 +94,7 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
 def read_robot(
     text: str, called: str = "the robot's model", locked: Mapping[str, float] = MappingProxyType({})
 ) -> tuple[Robot, Mapping[str, Carried]]:
-    """Return the robot of a URDF or MJCF text, and the bodies that each moving joint carries, by the joint's name.
-
-    Args:
-        text: XML.
-        called: what sentences call it.
-        locked: as of `load_robot`.
-    """
+    """Return the robot of a URDF or MJCF text, and the bodies that each moving joint carries, by the joint's name."""
     root = parse_model(text, called)
     locked = _fix_bases(root, called, locked)
     by_shapes = any(one.get("inertiafromgeom") == "true" for one in root.iter("compiler"))

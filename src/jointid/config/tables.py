@@ -26,9 +26,11 @@ from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.robots.inertial import MassProperties, is_physical
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from jointid.models.springs import SPRINGS, Spring
+from jointid.records.clock import require_spans
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
 from jointid.records.formats import TextOptions, format_of
+from jointid.records.record import Spans
 from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
 
@@ -65,6 +67,8 @@ class Source:
     part: int | None = setting(
         None, "which part between jumps of the clock to read, counted from 1; 0 takes the longest", at_least=0
     )
+    parts: Spans = setting((), "tests in one log, [begin, end] each, that begin anew", unit="s", accept=require_spans)
+    leave_out: Spans = setting((), "[begin, end] each, whose samples do not count", unit="s", accept=require_spans)
     options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
     resample: Resampling | None = setting(
         None,
@@ -74,6 +78,8 @@ class Source:
     def __post_init__(self) -> None:
         if self.file is not None:
             format_of(self.file, **self.options)
+        if self.parts and (self.start, self.stop, self.part) != (None, None, None):
+            raise JointFileError("parts is beside start, stop or part, which read one; keep one of them.")
 
 
 @add_settings_to_docstring

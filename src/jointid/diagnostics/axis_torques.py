@@ -45,6 +45,7 @@ class AxisTorques:
     """Torques of all axes, filtered and decimated, on an estimate's own record or another one.
 
     Attributes:
+        time: (rows,) instants of the rows, by the log's own clock [s].
         sample_time, cutoff: s between rows, and Hz of the filter.
         measured, predicted: (n, rows) N m or N, behind the gear.
         seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
@@ -55,6 +56,7 @@ class AxisTorques:
         along_measured_motion: whether the positions are those of the log.
     """
 
+    time: FloatArray
     sample_time: float
     cutoff: float
     measured: FloatArray
@@ -65,11 +67,6 @@ class AxisTorques:
     own: FloatArray
     shapes: tuple[tuple[FaultSignature, ...], ...]
     along_measured_motion: bool = False
-
-    @property
-    def time(self) -> FloatArray:
-        """Instants of the rows, (rows,) s."""
-        return self.sample_time * np.arange(float(self.measured.shape[1]))
 
     @property
     def error(self) -> FloatArray:
@@ -129,17 +126,14 @@ def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
     path = problem.filter(np.column_stack([run.motor_position, run.motor_velocity]))
     step, rows = problem.sample_time * (problem.filtering.decimation or 1), measured.size
     return AxisTorques(
-        step, problem.filtering.cutoff or math.inf, measured[np.newaxis], (measured - error)[np.newaxis],
-        np.ones((1, rows), dtype=np.bool_), path[np.newaxis, :, 0], path[np.newaxis, :, 1], -slopes[np.newaxis], ((),),
+        np.asarray(problem.sample_time * problem.log.kept), step, problem.filtering.cutoff or math.inf,
+        measured[np.newaxis], (measured - error)[np.newaxis], np.ones((1, rows), dtype=np.bool_),
+        path[np.newaxis, :, 0], path[np.newaxis, :, 1], -slopes[np.newaxis], ((),),
     )  # fmt: skip
 
 
 def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorques:
-    """Return the torques of the record that a robot's estimate is from, beside its own.
-
-    Args:
-        estimate: of the robot, by any method.
-        records: of each joint, that it was identified from.
+    """Return the torques of the joints' records that a robot's estimate is from, beside its own.
 
     Raises:
         RecordError, MethodError: as of the identification.
@@ -194,8 +188,9 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
         for k, all_of in enumerate(found)
     )
     path, step = thin(np.stack([q, v], axis=2)), source.sample_time * source.filtering.decimation
+    time = step * np.arange(measured.shape[1]) if motion is not None else source.sample_time * source.log.kept
     return AxisTorques(
-        step, source.filtering.cutoff, measured, predicted,
+        records[0].on_clock(time), step, source.filtering.cutoff, measured, predicted,
         np.ones(measured.shape, dtype=np.bool_) if motion is None else motion.whole_rows, path[:, :, 0], path[:, :, 1],
         own.reshape(n, -1, own.shape[1]), shapes, along_measured_motion=motion is not None,
     )  # fmt: skip

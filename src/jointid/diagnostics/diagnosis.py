@@ -222,15 +222,7 @@ class Diagnosis(Documented):
 def diagnose_joint(
     estimate: Estimate, record: Record, problem: ClosedLoopProblem, x: FloatArray, most: int = MOST
 ) -> Diagnosis:
-    """Diagnose the estimate of a joint by DIDIM.
-
-    Args:
-        estimate: by DIDIM, of this record.
-        record: that it was identified from.
-        problem: its loop; the parameters identified beside the joint are not tested.
-        x: (free,) its solution.
-        most: faults that are named at most.
-    """
+    """Diagnose the estimate of a joint by DIDIM from its solved problem, without what is beside the joint."""
     std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     proved = problem.loop if law is not None and law.holds else None
@@ -245,13 +237,9 @@ def diagnose_joint(
 def diagnose_robot(
     estimate: Estimate, records: Sequence[Record], controllers: Sequence[Controller | None] = ()
 ) -> Diagnosis:
-    """Diagnose the estimate of a robot by any method.
+    """Diagnose the estimate of a robot by any method, from its joints' records.
 
-    Args:
-        estimate: of these records.
-        records: of each joint.
-        controllers: of each joint as declared, None where one is not known; those of the estimate's loop if none are
-            given.
+    Controllers are as declared, None where one is not known; without any they are those of the estimate's loop.
     """
     part, method = estimate.require_robot(), estimate.settings.method
     robot, torques = part.model, torques_of_robot(estimate, records)

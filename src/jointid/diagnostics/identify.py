@@ -200,7 +200,7 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
         loop = (skip_test(Subject.LOOP, f"not checked: {error}"),)
     faults = None if found is None else found.axes[0].faults
     with contextlib.suppress(*_OF_RECORD):
-        part = find_part_of_loop(problem, x) if faults is None else faults.part
+        part = find_part_of_loop(problem, x, record) if faults is None else faults.part
         if part is None:  # what acts all the time does not explain a part of it
             causes = explain_misfit(assemble(fit), record, None if faults is None else faults.findings, progress)
     if causes is not None:

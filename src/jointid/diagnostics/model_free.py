@@ -16,12 +16,14 @@ the right controller and joint: a cause with a clearly larger residual does not 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
@@ -32,7 +34,7 @@ from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop
 from jointid.records.checks import find_encoder_step
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import find_noise_limit, lowpass_below_noise
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
@@ -80,6 +82,17 @@ def find_broken_part(record: Record) -> Message | None:
 def _found(name: str, value: float | None, clause: str, **more: object) -> Message:
     cause = {"cause": name, "value": value, "error": None}
     return Message(Reason.CAUSE_FOUND, clause, {"causes": [cause], **more}, clause)
+
+
+def offer(key: str, spans: Iterable[tuple[float, float]]) -> str:
+    """Return the key of the joint file that reads parts of the time, or leaves them out."""
+    return f"record.{key} = {[[round(float(instant), 3) for instant in span] for span in spans]}"
+
+
+def _offer_parts(record: Record, channel: Channel, jumps: Iterable[int]) -> str:
+    """Return the key that reads a record in parts between jumps after these samples."""
+    at, ends = record.on_clock(channel.time), [0, *(k + 1 for k in jumps), len(channel)]
+    return offer("parts", [(at[first], at[end - 1]) for first, end in pairwise(ends)])
 
 
 def find_too_short(record: Record, needed: float = _LEAST, what_for: str = "to rely on") -> Message | None:
@@ -161,10 +174,11 @@ def find_lost_samples(record: Record) -> Message | None:
         (places,) = np.nonzero((np.abs(before) > least) & even & near & (lost >= 1.0) & alike)
     if not 0 < places.size <= _MOST_PLACES:
         return None
-    said = [f"about {lost[k]:.0f} at {number(channel.sample_time * (k + 2), 3)} s" for k in places[:_SAID]]
+    at = record.on_clock(channel.time)
+    said = [f"about {lost[k]:.0f} at {at[k + 2]:.12g} s" for k in places[:_SAID]]
     more = f" and at {places.size - _SAID} more" if places.size > _SAID else ""
-    clause = f"samples are missing in the record: {join(said)}{more}"
-    clause += " from the first that was read; cut it there (record.start, record.stop), or log time stamps"
+    clause = f"samples are missing in the record: {join(said)}{more}; log time stamps"
+    clause += "" if more else f", or read it in parts ({_offer_parts(record, channel, places + 2)})"
     return _found("lost_samples", float(lost[places].sum()), clause)
 
 
@@ -185,24 +199,26 @@ def find_parts_off(record: Record) -> Message | None:
     if torque is None or motor is None or torque.values.shape != motor.values.shape:
         return None
     u, T, size = torque.values, torque.sample_time, max(round(_OFF_FOR / torque.sample_time), 1)
+    counts, at = record.counts(u.size, T), record.on_clock(np.append(torque.time, torque.duration))
     q = np.convolve(motor.values, np.ones(_MEAN) / _MEAN, "same")
     v = np.gradient(q, T)
     a, travel = np.gradient(v, T), float(np.ptp(motor.values))
     off = list[tuple[float, float]]()
     for first in range(0, u.size - size + 1, size):
         part = slice(first, first + size)
-        if np.ptp(motor.values[part]) > _RESTS * travel or np.sqrt(np.mean(u[part] ** 2)) > _NOTHING * np.std(u):
+        moved = np.ptp(motor.values[part]) > _RESTS * travel
+        if moved or not np.any(counts[part]) or np.sqrt(np.mean(u[part] ** 2)) > _NOTHING * np.std(u):
             continue
         here = np.abs(q - np.mean(motor.values[part])) < _NEAR_BY * travel
         passes = here & (np.abs(v) > _RESTS * np.max(np.abs(v)))
         if _pulls(u[passes], np.sign(v[passes]), a[passes], 0.1 * float(np.std(u))):
-            begin = off.pop()[0] if off and off[-1][1] == first * T else first * T
-            off.append((begin, part.stop * T))
+            begin = off.pop()[0] if off and at[first] <= off[-1][1] + 2 * _OFF_FOR else at[first]
+            off.append((begin, at[part.stop]))
     if not off:
         return None
-    parts = join([f"from {number(begin, 3)} to {number(end, 3)} s" for begin, end in off[:_SAID]])
-    clause = f"the drive is off {parts} from the first sample that was read: the axis stands there without a torque "
-    clause += "where a load pulls at it; identify a part without them (record.start, record.stop)"
+    parts = join([f"from {begin:.12g} to {end:.12g} s" for begin, end in off[:_SAID]])
+    clause = f"the drive is off {parts}: the axis stands there without a torque where a load pulls at it; leave that "
+    clause += f"out ({offer('leave_out', [(begin - _OFF_FOR, end + _OFF_FOR) for begin, end in off])})"
     return _found("drive_off", sum(end - begin for begin, end in off), clause, parts=off)
 
 
@@ -226,10 +242,10 @@ def find_new_zero(record: Record) -> Message | None:
     (places,) = np.nonzero((np.abs(steps) > _JUMP * usual) & (np.abs(asked - steps) < _ROUGH * np.abs(steps)))
     if not usual > 0.0 or not places.size:
         return None
-    jumps = [(number(float(steps[k]), 3), number(motor.sample_time * (k + 1), 3)) for k in places]
-    said = join([f"by {size} {motor.unit} at {instant} s" for size, instant in jumps])
-    clause = f"reference and motor position jump together {said} from the first sample that was read: a new zero was "
-    clause += "set there; identify a part without it (record.start, record.stop)"
+    at = record.on_clock(motor.time)
+    said = join([f"by {number(float(steps[k]), 3)} {motor.unit} at {at[k + 1]:.12g} s" for k in places])
+    clause = f"reference and motor position jump together {said}: a new zero was set there; read the record in parts "
+    clause += f"({_offer_parts(record, motor, places)})"
     return _found("new_zero", float(steps[places[0]]), clause)
 
 
@@ -348,14 +364,13 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
         return None
     logged, made, see = followed
     assert record.torque is not None
-    columns, inside = np.column_stack([made, np.ones(logged.size)]), slice(_BORDER, logged.size - _BORDER)
+    columns, inside = np.column_stack([made, np.ones(logged.size)]), _compared(record, logged.size)
 
     def at(late: float) -> tuple[float, FloatArray]:
         """Return the residual of the torque, and the weights, with the law so many samples later."""
         whole = math.floor(late)
-        first, last, share = inside.start - whole, inside.stop - whole, late - whole
-        delayed = (1 - share) * columns[first:last] + share * columns[first - 1 : last - 1]
-        return _regress(logged[inside], delayed)
+        before, share = inside - whole, late - whole
+        return _regress(logged[inside], (1 - share) * columns[before] + share * columns[before - 1])
 
     left, weights = at(0.0)
     near = min(range(-_LATEST, _LATEST + 1), key=lambda late: at(late)[0])
@@ -387,13 +402,22 @@ def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: flo
         return False
     (logged, made, _), at = own, np.arange(min(len(own[1]), len(other[1])))
     later = (1.0 + gain) * np.interp(at - late / record.torque.sample_time, at, other[1][: at.size, 0])
-    columns = np.column_stack([later - made[: at.size, 0], made[: at.size, 1:], np.ones(at.size)])[_BORDER:-_BORDER]
-    left, sizes = (logged - made[:, 0])[: at.size][_BORDER:-_BORDER], column_norms(columns)
+    columns = np.column_stack([later - made[: at.size, 0], made[: at.size, 1:], np.ones(at.size)])
+    inside = _compared(record, at.size)
+    left, columns = (logged - made[:, 0])[inside], columns[inside]
+    sizes = column_norms(columns)
     if np.ptp(columns[:, 0]) == 0.0:
         return False
     weights = np.linalg.lstsq(columns / sizes, left, rcond=None)[0]
     std = Influence(columns / sizes, left - columns / sizes @ weights).robust().std
     return bool(abs(weights[0]) + _SURELY * std[0] < _A_QUARTER * sizes[0])
+
+
+def _compared(record: Record, samples: int, border: int = _BORDER) -> NDArray[np.intp]:
+    """Return the samples of the torque that count, but for those at the ends, (samples,)."""
+    assert record.torque is not None
+    found = np.flatnonzero(record.counts(samples, record.torque.sample_time))
+    return found[(found >= border) & (found < samples - border)]
 
 
 def _follow(
@@ -429,7 +453,8 @@ def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArr
     more = [seen[name] for name in ("reference_velocity", "injected") if name in seen]
     total, *signals = see(np.column_stack([np.cumsum(r - q), r - q, np.gradient(q), *more])).T
     late = (toeplitz(one, np.full(_LAGS, one[0])) for one in signals)
-    return _regress(logged, np.column_stack([total, np.ones(r.size), *late]))[0]
+    inside = _compared(record, r.size, 0)
+    return _regress(logged[inside], np.column_stack([total, np.ones(r.size), *late])[inside])[0]
 
 
 def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
@@ -451,16 +476,11 @@ _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered 
 
 
 def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, memory: float = MEMORY) -> float:
-    """Return the share of the torque that is no linear response to the reference or an injected signal.
-
-    Args:
-        problem: with the torque and its filter.
-        reference: (samples,) in m or rad, over the same time.
-        memory: length of the responses, s.
-    """
+    """Return the share of the torque that is no linear response, so long, to the reference or an injected signal."""
     from scipy.linalg import toeplitz
 
-    torque = problem.filter(problem.measured)
+    filtering, T = problem.filtering, problem.sample_time
+    torque, at = filtering.decimate(problem.measured, T), problem.log.kept // (filtering.decimation or 1)
     if reference.size != problem.measured.size:  # logged at a rate of its own
         at = np.arange(problem.measured.size) * (reference.size / problem.measured.size)
         reference = np.interp(at, np.arange(reference.size), reference)
@@ -470,12 +490,13 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     added = problem.axis.inputs[:, INJECTED] + problem.axis.after_limit
     if np.any(added):
         inputs.append(to_log(problem.axis, added))
-    count, seen = len(inputs), problem.filter(np.column_stack(inputs))
-    lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
-    rows, width = torque.size, count * lags + 1
+    count, seen = len(inputs), filtering.decimate(np.column_stack(inputs), T)
+    lags = min(math.ceil(memory / (T * reference.size / torque.size)), torque.size)
+    rows, width = at.size, count * lags + 1
     if rows < 2 * width:
         return 0.0
-    columns = np.column_stack([*(toeplitz(one, np.zeros(lags)) for one in seen.T), np.ones(rows)])
+    columns = np.column_stack([*(toeplitz(one, np.zeros(lags)) for one in seen.T), np.ones(torque.size)])[at]
+    torque = torque[at]
     columns /= column_norms(columns)
     weights = np.linalg.solve(columns.T @ columns + _RIDGE * np.eye(width), columns.T @ torque)
     left = float(np.linalg.norm(torque - columns @ weights) / np.linalg.norm(torque))

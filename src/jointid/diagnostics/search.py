@@ -45,7 +45,7 @@ from jointid.diagnostics.changes import (
     average,
     list_variants,
 )
-from jointid.diagnostics.model_free import excludes
+from jointid.diagnostics.model_free import excludes, offer
 from jointid.diagnostics.score import LEVEL, RIVAL, SolvedLoop, score
 from jointid.diagnostics.suspects import (
     LIMIT,
@@ -83,6 +83,7 @@ _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as 
 _BLOCKS = 40  # of a residual, in time
 _SHORTEST = 2  # blocks of a part
 _TIMES = 25.0  # as much as elsewhere: on healthy drives it is about 3, with a known fault that is not all taken off 20
+_AROUND = 0.5  # of the part that is found: what begins and dies away is longer than what is seen of it
 _MOST_OF_IT = 0.5  # of the blocks of a part
 _KNOWN = 0.5  # of the largest singular value: what of the parameters the rest of the time knows about as well
 
@@ -123,7 +124,7 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
             likely = [*itertools.islice(near, 1), *(() if findings else found.excluded[:1])]
             suspected = [*(_find(found, one)[0] for one in likely), *find_undecided(found, laws)]
             break
-    part = find_part_of_loop(found.problem, found.x)
+    part = find_part_of_loop(found.problem, found.x, found.record)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, suspected, found = [], [], initial
     joint, left = problem.loop.joint, found.residual
@@ -352,12 +353,7 @@ def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]
 
 
 def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple[AxisFaults, ...]:
-    """Return the faults of each axis.
-
-    Args:
-        torques: of all axes, with the columns of their free parameters.
-        units: of position and torque, of each axis.
-    """
+    """Return the faults of each axis, whose position and torque have these units."""
     rows, own, residual = torques.rows, torques.stack(torques.own), torques.stack(torques.error)
     own, every = own[:, np.any(own, axis=0)], range(len(torques.measured))
     shapes = [replace(one, axis=k, column=torques.place(k, one.column)) for k in every for one in torques.shapes[k]]
@@ -428,7 +424,7 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
     Args:
         residual: (rows,) of all axes, each in the order of time.
         basis: (rows, columns) orthonormal, of the columns of all parameters.
-        time: (rows,) s.
+        time: (rows,) s, by the log's own clock.
         rows: of the axis.
     """
     own = time[rows]
@@ -452,17 +448,14 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
     if np.mean(part) < least or np.mean(part > least) <= _MOST_OF_IT:
         return None
     begins, stops, share = float(own[first * size]), float(own[last * size - 1]), float(within[best] / ends[-1])
-    clause = f"from {number(begins, 3)} to {number(stops, 3)} s the torque does not follow the model"
-    words = (
-        f"{clause}: {number(100 * share, 2)} % of the squares of the residual are there, and no known fault explains "
-        "them, as where something touches the joint; leave that out by record.start and record.stop (times count from "
-        "the first sample that was read)"
-    )
-    return Message(Reason.MISFIT_IN_PART, words, {"begin": begins, "end": stops, "share": share}, clause)
+    around = _AROUND * (stops - begins)
+    clause = f"from {begins:.12g} to {stops:.12g} s the torque does not follow the model: leave it out "
+    clause += f"({offer('leave_out', [(begins - around, stops + around)])})"
+    return Message(Reason.MISFIT_IN_PART, clause, {"begin": begins, "end": stops, "share": share}, clause)
 
 
-def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> Message | None:
+def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray, record: Record | None) -> Message | None:
     """Return the part of the time in which a joint does not follow its solved problem, or None."""
-    residual = problem.residual(x)
-    time = np.linspace(0.0, problem.measured.size * problem.sample_time, residual.size)
+    residual, time = problem.residual(x), np.asarray(problem.sample_time * problem.log.kept)
+    time = time if record is None else record.on_clock(time)
     return find_part(residual, np.zeros((residual.size, 1)), time)  # its columns hold near the solution alone

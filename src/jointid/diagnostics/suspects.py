@@ -380,7 +380,7 @@ def _cog(seen: Seen) -> Columns:
     if seen.loop is None or not seen.is_flexible or seen.loop[0].joint.stepped or not travel:
         return
     problem, basis = seen.loop[0], orthonormal_basis(seen.own, _RANK)
-    position, way = seen.position[problem.kept], np.sign(seen.velocity[problem.kept])
+    position, way = seen.position[problem.log.kept], np.sign(seen.velocity[problem.log.kept])
     whiten = fit_whitener(seen.residual - basis @ (basis.T @ seen.residual))
     basis, left = orthonormal_basis(whiten(seen.own), _RANK), whiten(seen.residual)
 

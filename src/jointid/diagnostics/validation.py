@@ -364,7 +364,7 @@ def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
             free = free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]})
         else:  # with the log's own delay
             delay = LOG_DELAY.fix(-settings.delay)
-            free = motion_problem(record, DriveSide(joint), settings.filtering, joint.parameters, delay)
+            free = motion_problem([record], DriveSide(joint), settings.filtering, joint.parameters, delay)
             problem = free.keeping(values)
             x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
         runs, start = problem.run(x), free.vector(problem.values(x))
@@ -387,6 +387,7 @@ def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
     else:
         moved = motion_at(run, log.experiment.clock.log_index)
         path, speed = (one[:, run.numbers.motors] for one in (moved.position, moved.velocity))
+        compared = log.counts[:, np.newaxis]
 
     def fit_anew() -> FloatArray | None:
         weighted, x, left = free, start, error

@@ -146,12 +146,13 @@ def _fit_records(
         RecordError, MethodError: records, model and method do not belong together.
     """
     asked = any(name not in _SHARED or (any(v) if np.iterable(v) else v) for name, v in several.items())
-    alike = isinstance(model, Joint) and isinstance(method, IDIM | None) and not asked
+    plain = isinstance(model, Joint | DriveSide | ClosedLoop) and not asked
+    alike = plain and isinstance(method or default_method(model)(), IDIM | DriveSideFit)
     by_loop = isinstance(model, ClosedLoop | Sequence) and isinstance(method, DIDIM | None)
     if not (records and all(isinstance(one, Record) for one in records) and (alike or by_loop)):
         raise MethodError(
-            "Several records are a list of records, identified by their loop, or by IDIM if they share all parameters: "
-            "give a ClosedLoop and DIDIM, or the joint without `several`."
+            "Several records are a list of records, identified by their loop, or without it if they share all "
+            "parameters: give a ClosedLoop and DIDIM, or leave out `several`."
         )
     marks = [fingerprint(one.torque.values) for one in records if one.torque is not None]
     if len({*marks}) < len(marks):
@@ -241,8 +242,8 @@ def identify_record(
             )
     lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(fit.data.channels) else None
     if lag is not None:
-        late = f"{lag.late} seems {number(1e3 * lag.lag, 2)} ms late, which hides the spring"
-        hidden = {"parameters": ["stiffness", "damping"], "lag": lag.lag}
+        late = f"{lag[0]} seems {number(1e3 * lag[1], 2)} ms late, which hides the spring"
+        hidden = {"parameters": ["stiffness", "damping"], "lag": lag[1]}
         check = check_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, late, hidden)
         fit = replace(fit, checks=(*fit.checks, check))
     return replace(fit, records=() if others else (record,)).warn(*dict.fromkeys(said))

@@ -13,18 +13,13 @@ A parameter of a record is one that all share, or that plus a number that is kno
 with the number of the record, from 1. The motor's first state is always a record's own; so is a number of the
 controller that the records declare differently.
 
-**Windows of a long log.** An ordinary identification of one window gives the start. A pass reads every window once and
-keeps of each what `Sums` holds, so that time grows with the length of the record, and memory by a kilobyte for each
-window.
+**Windows of a long log.** An identification of one window gives the start. A pass reads every window once and keeps of
+each what `Sums` holds. A window begins in the middle of a motion: where the law, turned round, puts the motor for the
+logged torque, at the speed of the reference. What is wrong of that the loop forgets within the settling time, of which
+nothing is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice that.
 
-A window begins in the middle of a motion. It begins where the law, turned round, puts the motor for the torque that was
-logged, at the speed of the reference; what of that is wrong the loop forgets within the settling time, of which nothing
-is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice the settling
-time, so that the rows that count follow each other without a gap.
-
-Noise that is averaged over a day leaves next to nothing, and what the model lacks stays. What every visit to a place
-errs alike no longer record averages away: sums are kept of each place, too. The deviations are the larger, in every
-direction, of what leaving out windows says and what leaving out places says (`uncertainty.covariance`).
+What every visit to a place errs alike no longer record averages away: sums are kept of each place, too. The deviations
+are the larger, in every direction, of what leaving out windows says and what leaving out places says.
 """
 
 from __future__ import annotations
@@ -376,11 +371,11 @@ def _judge(
 ) -> Estimate:
     """Return the fit of all records, with what each says alone; `made` evaluations led to the solution."""
     x, names, problems = solution.x, [p.name for p in together.free], together.problems
-    joint, gain, count = problems[0].joint, together.gain(x), [problem.kept.size for problem in problems]
+    joint, gain, at = problems[0].joint, together.gain(x), [problem.log.kept for problem in problems]
     values = {p.name: float(p.start or 0.0) for p in together.parameters} | dict(zip(names, map(float, x), strict=True))
     runs = [problem.simulate(own) for problem, own in zip(problems, together.split(x), strict=True)]
-    shown = [(run.motor_position[p.kept], run.motor_velocity[p.kept]) for p, run in zip(problems, runs, strict=True)]
-    influence = Influence(solution.jacobian, solution.residual, series=count)
+    shown = [(run.motor_position[k], run.motor_velocity[k]) for k, run in zip(at, runs, strict=True)]
+    influence = Influence(solution.jacobian, solution.residual, series=[rows.size for rows in at])
     found = uncertainty(influence, cells(*map(np.concatenate, zip(*shown, strict=True))))
     found = found.widened_by(_compute_shift(together, influence, fits, gain))
     left = [p.filtered_error(error) for p, (error, _) in zip(problems, together.rows(x), strict=True)]
@@ -411,7 +406,7 @@ def _judge(
         covariance.correlation[np.ix_(order, order)],
         (np.concatenate([p.measured for p in problems]), np.concatenate([run.torque for run in runs])),
         float(np.linalg.norm(left * sizes) / np.linalg.norm(sizes)),
-        sum(count),
+        sum(rows.size for rows in at),
         (solution.message, solution.converged),
         sum(fit.fit.simulations for fit in fits) + made,
         replace(fits[0].settings, loop=loop, delay=loop.controller.law(problems[0].sample_time).delay),
@@ -426,7 +421,7 @@ def _compute_shift(together: Records, influence: Influence, fits: Sequence[Estim
     """Return by how much the common solution moves, (free,), where what is no noise moves those of the records."""
     moved, first = np.zeros(len(together.free)), 0
     for problem, among, fit in zip(together.problems, together.maps, fits, strict=True):
-        rows = slice(first, first := first + problem.kept.size)
+        rows = slice(first, first := first + problem.log.kept.size)
         answer = influence.matrix[:, rows] @ influence.J[rows] @ among.T * _scale(problem, gain)
         each = [dict(zip((p.name for p in _require_solution(fit)[0].free), shift, strict=True)) for shift in fit.shifts]
         squares = [(answer @ [by.get(p.name, 0.0) for p in problem.free]) ** 2 for by in each]
@@ -507,10 +502,11 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
     assert record.torque is not None
     experiment = prepare(like.loop, record)
     measured = record.torque.values[: experiment.clock.samples]
-    problem = like.with_log(measured=measured[:, np.newaxis], experiment=experiment, seen=(None,))
+    counts = record.counts(measured.size, like.sample_time)
+    problem = like.with_log(measured=measured[:, np.newaxis], experiment=experiment, seen=(None,), counts=counts)
     # What an integral holds is one constant along the log, and no window's own.
     seen = None if experiment.axis.law.integrates else seen_position(record, like.loop)
-    torque = float(problem.filter(measured)[0])  # a single sample has all of the noise
+    torque = float(like.filtering.decimate(measured, like.sample_time)[0])  # a single sample has all of the noise
     inputs, period = experiment.axis.inputs, experiment.axis.law.period
     velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
     torque += disturbed * float(np.std(measured))
@@ -626,24 +622,21 @@ class WindowsOfLog:
                 still += 1
                 continue
             try:
-                problem = begin_window(self.like, record)
+                problem = begin_window(self.like, record).with_log(ends=2 * (self.settling,))
                 runs = problem.run(x)
                 error, measured = problem.error(runs), problem.filtered_torque
             except RecordError:
                 if not (chunk.number and chunk.last):  # a last one may be too short for filters
                     raise
                 continue
-            at, size = problem.kept, problem.measured.size
-            counted = (at >= self.settling) & (at < size - self.settling)
-            if not counted.any():
+            if not (at := problem.log.kept).size:
                 continue
             if runs[0].outcome is Outcome.FINISHED:
                 J = -problem.slopes(runs, x)
             else:  # its error is large in all of its rows, so that the search turns away
                 J = np.zeros((error.size, x.size))
-                stopped = f"the window that begins at {record.begin:.0f} s cannot be simulated, {runs[0].outcome.value}"
-            at, keep = at[counted], problem.filtering.decimation or 1
-            rows = error[counted], J[counted], measured[counted]
+                stopped = f"The window that begins at {record.begin:.0f} s cannot be simulated, {runs[0].outcome.value}"
+            rows, keep = (error, J, measured), problem.filtering.decimation or 1
             label = self.places(*(one[at] for one in _commanded(problem)))
             for place in map(int, np.unique(label)):
                 sums = Sums.of(*(one[label == place] for one in rows))
@@ -704,10 +697,7 @@ def identify_windows(
     solution = solve(problem, LevenbergMarquardt(1e-8, _PASSES, None, _SUMMED / sums.rows, enough), x, watch)
     found, x = problem.pass_over(solution.x), solution.x
     if found.stopped:
-        raise MethodError(
-            f"{found.stopped[:1].upper()}{found.stopped[1:]}: check the controller and the start, or begin from "
-            "another window."
-        )
+        raise MethodError(f"{found.stopped}: check the controller and the start, or begin from another window.")
     # What the last step promises is taken without another pass.
     step = damped_step(solution.residual, solution.jacobian, Bounds.of(problem.free).shift_to(x))
     found, x = found.shift(step), x + step

@@ -181,9 +181,9 @@ def read_report(path: str | os.PathLike[str]) -> Json:
 
 def key_of(file: File, records: Sequence[Path], axis: str | None, changes: Sequence[str], window: float | None) -> str:
     """Return the SHA-256 of all that an estimate follows from: the files, what changes them, and this program."""
-    model = file.model_path
+    model, cut = file.model_path, str(file.source)  # that of a part of a log is another than its file's
     models = [] if model is None else sorted(model.parent.glob(f"*{model.suffix}"))  # which may include each other
-    said = [file.text, file.method.name, axis, [*changes], window, digest(*records), digest(*models), _digest_program()]
+    said = [file.text, cut, file.method.name, axis, [*changes], window, digest(*records, *models), _digest_program()]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 

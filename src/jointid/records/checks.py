@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -209,43 +208,18 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) 
 
 
 def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str, ...]:
-    """Warnings on the channels of a record, one sentence each.
-
-    A torque that is refreshed every n samples is n / 2 samples late. An encoder lag looks like a spring with viscous
-    friction; if it explains nearly all of the difference between the encoders, it hides the stiffness.
-    """
+    """Warnings on the channels of a record, one sentence each: a torque refreshed every n samples is n / 2 late."""
     notes, torque = [*record.remarks], record.torque
     if torque is not None and "torque" in channels and (every := update_interval(torque.values)) > 1:
         notes.append(
             f"the torque changes only every {every} samples: it is logged more often than it is refreshed; give its "
             f"channel sample_time = {every * torque.sample_time:g}, or it is read up to that much too late"
         )
-    lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(channels) else None
-    if lag is not None:
-        notes.append(
-            f"{lag.share:.0%} of the difference of motor_position and load_position is as if {lag.late} were "
-            f"{1e3 * lag.lag:.2g} ms later: a spring is hidden behind it, and a stiffness from both encoders is not to "
-            "be trusted"
-        )
     return tuple(notes)
 
 
-@dataclass(frozen=True, slots=True)
-class EncoderLag:
-    """A lag of one encoder that explains nearly all of the difference.
-
-    Attributes:
-        lag: between them, seconds.
-        share: of the difference's energy that it explains.
-    """
-
-    late: str
-    lag: float
-    share: float
-
-
-def find_encoder_lag(record: Record) -> EncoderLag | None:
-    """Find the lag that hides the spring between two encoders, if any."""
+def find_encoder_lag(record: Record) -> tuple[str, float] | None:
+    """Return the late encoder and its lag [s] where that hides the spring: it explains nearly all of the difference."""
     motor, load = record.motor_position, record.load_position
     if motor is None or load is None or len(motor) < _FEWEST_SAMPLES:
         return None
@@ -258,8 +232,7 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
     if size == 0.0 or total == 0.0:
         return None
     lag = float(velocity @ difference) / size
-    share = lag**2 * size / total
-    return EncoderLag("load_position" if lag > 0 else "motor_position", abs(lag), share) if share > _LATE else None
+    return ("load_position" if lag > 0 else "motor_position", abs(lag)) if lag**2 * size > _LATE * total else None
 
 
 def find_encoder_step(channel: Channel | None) -> float | None:

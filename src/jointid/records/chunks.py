@@ -62,7 +62,8 @@ class Log:
 
     def __post_init__(self) -> None:
         own = any(c.sample_time or c.time for c in as_columns(self.columns).values())
-        if own or self.settings.get("resample") is not None or self.settings.get("cut", Cut()) != Cut():
+        cut = self.settings.get("cut", Cut())
+        if own or self.settings.get("resample") is not None or cut != Cut(leave_out=cut.leave_out):
             raise RecordError(f"A record that is read in chunks {_ONE_CLOCK}.")
 
     @property
@@ -86,7 +87,7 @@ class Log:
             length: samples between the beginnings of chunks.
             overlap: further samples, `length` at most.
         """
-        reader, sample_time = self._reader, self.sample_time
+        reader, sample_time, zero = self._reader, self.sample_time, 0.0
         for number, table, last in self._tables(length, overlap):
             try:
                 record = reader.build_record(table, self.name)
@@ -97,11 +98,14 @@ class Log:
                     [f"{Path(self.path).name}, rows from {number * length + 1} on: {fault}" for fault in error.faults]
                 ) from None
             channels = {name: replace(channel, sample_time=sample_time) for name, channel in record.items()}
-            yield Chunk(number, replace(record.with_channels(channels), begin=number * length * sample_time), last)
+            zero = zero if number else record.zero
+            record, left_out = record.with_channels(channels), self.settings.get("cut", Cut()).leave_out
+            record = replace(record, begin=number * length * sample_time, zero=zero, left_out=left_out)
+            yield Chunk(number, record, last)
 
     @property
     def _reader(self) -> RecordReader:
-        return RecordReader(self.columns, **{"drive": Drive(), **self.settings})
+        return RecordReader(self.columns, **{"drive": Drive(), **self.settings, "cut": Cut()})
 
     def _tables(self, length: int, overlap: int) -> Iterator[tuple[int, Table, bool]]:
         """Yield number, table and end flag of each chunk."""

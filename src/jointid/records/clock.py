@@ -16,6 +16,7 @@ from jointid.common.text import pluralise
 from jointid.records.columns import unit_fault, unit_in_name
 from jointid.records.formats import Table
 from jointid.records.formats.table import TIME_NAME
+from jointid.records.record import Spans
 
 # Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 _RATE_TOLERANCE = 1e-3
@@ -25,6 +26,7 @@ _LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has 
 # microsecond at 10 kHz (1 %).
 CLOCK_TOLERANCE = 0.05
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
+_LISTED = 8  # parts between jumps, at most, that are listed
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 
 
@@ -137,27 +139,45 @@ class Cut:
     start: float | None = None
     stop: float | None = None
     part: int | None = None
+    leave_out: Spans = ()
+
+    def __post_init__(self) -> None:
+        require_spans(self.leave_out)
 
     def find_rows(self, times: FloatArray, clock: str) -> NDArray[np.bool_]:
         """Return which of the rows of a clock [s] are read, (samples,).
 
         Raises:
-            RecordError: fewer than two are, or there is no such part.
+            RecordError: fewer than two are, there is no such part, or nothing is there to be left out.
         """
         first = -math.inf if self.start is None else self.start
         last = math.inf if self.stop is None else self.stop
-        kept = (times >= first) & (times <= last)
+        kept = counted = (times >= first) & (times <= last)
+        for begin, end in self.leave_out:
+            outside, read = (times < begin) | (times >= end), times[kept]
+            counted = counted & outside
+            if read.size and (begin <= read[0] or end > read[-1]):
+                kept = kept & outside  # what is left out at an end is not read
         rows = np.flatnonzero(kept)
         parts = _find_parts(times[rows]) if self.part is not None else [(0, rows.size)]
-        if rows.size < 2 or self.part not in (None, *range(len(parts) + 1)):
+        left, (lowest, highest) = int(np.count_nonzero(counted)), (times.min(), times.max())
+        beyond = any(begin > highest or end <= lowest for begin, end in self.leave_out)
+        if beyond or left < 2 or self.part not in (None, *range(len(parts) + 1)):
             raise RecordError(
-                f"start and stop leave {pluralise(rows.size, 'sample')} of {clock or 'the clock'}, which goes from "
-                f"{times.min():.10g} to {times.max():.10g} s, with {pluralise(len(parts), 'part')} between its jumps; "
+                f"start, stop and leave_out leave {pluralise(left, 'sample')} of {clock or 'the clock'}, which goes "
+                f"from {lowest:.10g} to {highest:.10g} s, with {pluralise(len(parts), 'part')} between jumps; "
                 "give two instants in there, and a part of these or 0 for the longest."
             )
         begin, end = parts[self.part - 1] if self.part else max(parts, key=lambda one: one[1] - one[0])
         kept[rows[:begin]] = kept[rows[end:]] = False
         return kept
+
+
+def require_spans(spans: Spans) -> None:
+    """Refuse parts of the time that are empty, reversed or overlap."""
+    if not all(a < b for a, b in spans) or not all(one[1] <= other[0] for one, other in pairwise(spans)):
+        said = [list(span) for span in spans]
+        raise RecordError(f"{said} are no parts of a time; expected [begin, end] of each, one after the other.")
 
 
 def _find_parts(stamps: FloatArray) -> list[tuple[int, int]]:
@@ -199,10 +219,12 @@ def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
     sample_time = float(np.median(forward)) if forward.size else 0.0
     off = np.flatnonzero(~(np.abs(steps / sample_time - 1) <= _JUMP))
     if not (largest <= _LATEST and sample_time >= 1 / _LATEST) or (off.size and not jumps):
-        at = int(off[0]) if off.size else 0
+        at, spans = int(off[0]) if off.size else 0, [stamps[[a, b - 1]].tolist() for a, b in _find_parts(stamps)]
+        tests = 1 < len(spans) <= _LISTED and np.all(np.diff(np.ravel(spans)) > 0)
         raise RecordError(
             f"{name} jumps {pluralise(off.size, 'time')}, repeats or does not run forward, first after sample {at} of "
-            f"{stamps.size} (t = {stamps[at]:g} s; expected steps of {sample_time:g} s); give part = 0 for the longest "
+            f"{stamps.size} (t = {stamps[at]:g} s; expected steps of {sample_time:g} s); give "
+            f"{f'parts = {spans} for tests to be identified together, or ' if tests else ''}part = 0 for the longest "
             "part between the jumps, or resample to bridge short gaps; or name another time column, or its unit; if "
             "only the stamps are wrong, give sample_time without time."
         )

@@ -33,7 +33,7 @@ from jointid.records.columns import (
 )
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, read_table
-from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Tap, Timing, refer_channel
+from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Spans, Tap, Timing, refer_channel
 from jointid.records.resampling import Resampling, Signal, bring_together
 
 _TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
@@ -55,6 +55,7 @@ def read(
     start: float | None = None,
     stop: float | None = None,
     part: int | None = None,
+    leave_out: Spans = (),
     **options: object,
 ) -> Record:
     """Read a record from a file, and report all faults of a step at once.
@@ -78,13 +79,14 @@ def read(
         start: first instant to read, in seconds of the log's own clock.
         stop: last one.
         part: which part between jumps of the clock to read, counted from 1; 0 takes the longest.
+        leave_out: times whose samples do not count, [begin, end) each; the loop goes on through them.
         resample: rules for a uniform clock.
         options: of the format's reader; see `jointid.records.formats.TextOptions`.
 
     Raises:
         RecordError: the file cannot be read, or contradicts its declaration; `faults` has a sentence for each fault.
     """
-    cut = Cut(start, stop, part)
+    cut = Cut(start, stop, part, tuple(leave_out))
     reader = RecordReader(
         columns or {}, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, resample, cut
     )
@@ -142,6 +144,8 @@ class RecordReader:
             **logged,
             name=self.name or name,
             begin=begin + (first - min(origins, default=first)),
+            left_out=self.cut.leave_out,
+            zero=min(origins, default=first),
             resampled=done,
             remarks=tuple(dict.fromkeys((*(r for one in signals.values() for r in one.remarks), *said))),
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from jointid.common.text import pluralise
 from jointid.common.transmission import Side, Transmission
 
 _DECIMALS = 13  # of a period in seconds: more are of a period that has no end
+
+
+Spans: TypeAlias = tuple[tuple[float, float], ...]
+"""Parts of a time, from one instant up to another one, in order."""
 
 
 class Timing(StrEnum):
@@ -164,6 +168,8 @@ class Record:
         payload: of a robot, the ten inertial parameters of what its last link carries beside the model, in the frame of
             that link: m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz; none without any. That of the last joint's record
             is read.
+        left_out: parts of the time whose samples do not count, by the log's own clock [s].
+        zero: instant of that clock at which `begin` is 0 [s].
 
     Raises:
         RecordError: channels at one rate have unequal lengths, or durations differ by more than a sample.
@@ -182,6 +188,8 @@ class Record:
     remarks: tuple[str, ...] = ()
     computed_by: Any = None  # a controller, of which this room knows nothing
     payload: tuple[float, ...] = ()
+    left_out: Spans = ()
+    zero: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))
@@ -222,6 +230,15 @@ class Record:
     def duration(self) -> float:
         """Duration of the shortest channel [s]."""
         return min(channel.duration for _, channel in self.items())
+
+    def counts(self, samples: int, period: float) -> FloatArray:
+        """Return 1 for each of so many samples that counts, and 0 for those that are left out, (samples,)."""
+        at = self.on_clock(instants(samples, period))
+        return np.ones(samples) - sum((at >= begin) & (at < end) for begin, end in self.left_out)
+
+    def on_clock(self, seconds: FloatArray) -> FloatArray:
+        """Return instants from the first sample on by the log's own clock."""
+        return self.zero + self.begin + seconds
 
     def without(self, *names: str) -> Record:
         """Return this record with the named channels removed."""

@@ -174,7 +174,8 @@ class Options:
         from jointid.estimation.identify import windows_of
         from jointid.estimation.result.estimate import IN_WINDOWS
 
-        together = several and window is None and (len(self.records) > 1 or (bool(file.runs) and not self.records))
+        listed = len(self.records) > 1 or file.source.parts or (file.runs and not self.records)
+        together = several and window is None and bool(listed)
         record: Any = None if together else file.record(self.record) if window is None else file.log(self.record)
         if whole and windows_of(record, file.setup, file.method):
             raise MethodError(IN_WINDOWS)
@@ -202,7 +203,7 @@ class Options:
         from jointid.estimation.identify import windows_of
         from jointid.output.json import keep, key_of, recall
 
-        paths = self.records or (file.listed if record is None else [Path(file.record_path())])
+        paths = self.records or (record is None and file.listed) or [Path(file.record_path())]
         key, progress = key_of(file, paths, self.axis, self.changes, window), self.progress
 
         def save(one: Estimate) -> Estimate:

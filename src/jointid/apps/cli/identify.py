@@ -44,7 +44,7 @@ def identify(
     file = options.load(joint, figure, alone=window is not None or (several and figure is not None))
     if window is not None and figure is not None:
         raise MethodError(IN_WINDOWS)
-    if figure is not None and (several or file.runs):
+    if figure is not None and (several or file.runs or file.source.parts):
         options = replace(options, again=True)  # the torque of several records is not kept
     shown = list[Any]()
     record, found = options.identify(

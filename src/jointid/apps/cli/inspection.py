@@ -86,13 +86,12 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     file = options.load(joint)
     if file.robot is None and file.loop is not None:
         file = options.load(joint, method="didim")
-    several = options.record is None and file.only_lists
-    paths = file.listed if several else [Path(file.record_path(options.record))]
-    if len(paths) > 1 and options.json is not None:
-        raise MethodError(f"--json holds one record, and {joint} lists {len(paths)}; name one of them by --record.")
+    pairs = file.each(() if options.record is None and file.only_lists else [file.record_path(options.record)])
+    if len(pairs) > 1 and options.json is not None:
+        raise MethodError(f"--json holds one record, and {joint} lists {len(pairs)}; name one of them by --record.")
     nothing = True
-    for path in paths:
-        found = _diagnose_record(file, path, options, laws)
+    for part, path in pairs:
+        found = _diagnose_record(part, Path(path), options, laws)
         nothing &= found.healthy and not found.sentences
     return 0 if nothing else FAULTY
 

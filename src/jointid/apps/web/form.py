@@ -22,7 +22,7 @@ from jointid.config.declaration import FileKey, flatten_keys, list_keys
 from jointid.config.tables import JOINT_FILE
 from jointid.config.toml import apply_changes, parse_toml
 from jointid.records.columns import known_units
-from jointid.records.record import CHANNELS
+from jointid.records.record import CHANNELS, Spans
 
 EXTRA = "extra"
 """The field of further lines of the joint file; of a robot file of all its lines."""
@@ -72,7 +72,7 @@ class Field:
 
     def read(self, text: str) -> str:
         """Return its value as TOML; what is none is left to be refused."""
-        if self.declared.type is bool and text in ("true", "false"):
+        if (self.declared.type is bool and text in ("true", "false")) or self.declared.type == Spans:
             return text
         if self.declared.type in (int, float):
             text = text.replace(",", ".")
@@ -87,7 +87,7 @@ class Field:
         text = str(value).lower() if value is True or value is False else str(value)
         if self.choices:
             return text if text in self.choices else None
-        return text if type(value) in ((str, int, float) if self.is_number else (str,)) else None
+        return text if type(value) in ((str, int, float) if self.is_number else (str, list)) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def _make_field(key: FileKey) -> Field | None:
         usual = "choose ..." if key.place in (_KIND, _SIDE) or last == "unit" else "as usual"
         return Field(key.place, one, {"": usual} | {str(word): str(word) for word in words})
     is_column = last == "column" or key.place == "record.time"
-    return Field(key.place, one, is_column=is_column) if one.type in (int, float, str) else None
+    return Field(key.place, one, is_column=is_column) if one.type in (int, float, str, Spans) else None
 
 
 def _find(*places: str, law: str = "cascade") -> tuple[Field, ...]:
@@ -147,7 +147,7 @@ ROBOT = (Section("The robot file", _EXTRA),)
 def channel_step(texts: Texts) -> Iterator[Section]:
     """Yield the sections of step 2; of a channel without a column only the column counts, but for a known drive."""
     yield Section("The axis", _find(_KIND))
-    yield Section("The clock", _find("record.time", "record.time_unit", "record.sample_time"))
+    yield Section("The clock", _find("record.time", "record.time_unit", "record.sample_time", "record.leave_out"))
     for name, fields in sorted(_CHANNELS.items(), key=lambda one: one[0] not in _ALWAYS):
         counts = texts.get(fields[0].key) or texts.get("drive.profile")
         title = name.replace("_", " ").capitalize()

@@ -80,7 +80,7 @@ def check() -> None:
     from jointid.config import load
 
     draft, file = Draft(Path.cwd()), load("_order.toml")
-    record, *_ = [file.record(draft.path / name) for name in draft.records]
+    record, *_ = [part.record(path) for part, path in file.each([draft.path / name for name in draft.records])]
     torque, moved, gear = record.torque, record.reference or record.motor_position, file.joint.transmission
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration, "unit": torque.unit}
     if moved is not None:

@@ -16,8 +16,9 @@ squares is biased: the intervals are widened for that (`Influence.widen_for_moti
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSET
 from jointid.estimation.parameters import LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import (
     SAID,
+    MeasuredMotion,
     motion_along,
     moving_weights,
     steady_weights,
@@ -37,7 +39,7 @@ from jointid.estimation.problems.inverse_model import (
 from jointid.estimation.problems.simulated import ClosedLoopProblem, MotionLog, require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem
 from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
 from jointid.simulation.drive_side import PARTS, DriveSide, prescribe
@@ -53,40 +55,41 @@ _LOWEST, _HIGHEST = 0.05, 1.5  # of the cut-off: the free-free modes that are se
 
 
 def motion_problem(
-    record: Record, setup: DriveSide, filtering: Filtering, parameters: tuple[Parameter, ...], delay: Parameter
+    records: Sequence[Record],
+    setup: DriveSide,
+    filtering: Filtering,
+    parameters: tuple[Parameter, ...],
+    delay: Parameter,
 ) -> ClosedLoopProblem:
-    """Return the problem of reproducing a record's torque along its motor motion.
-
-    Args:
-        record: with torque and motor position at one rate, the position sampled.
-        setup: the joint.
-        filtering: of position and torque.
-        parameters: of the joint.
-        delay: the parameter ``log_delay``.
-
-    Raises:
-        RecordError: a channel is missing, or at another rate.
-        MethodError: no parameter of the joint is free.
-    """
+    """Return the problem of reproducing the torques of records along their motor's motion, late by ``log_delay``."""
     require_free(parameters)
-    torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Drive-side identification")
-    sample_time = torque.sample_time
+    flexible = setup.joint.model == "flexible"
+    logs = [_motion_log(record, setup.joint, filtering) for record in records]
+    moves = [bool(moving_weights(log.motion.v[:, 0])[0]) for log in logs if flexible]
+    if len(moves) > 1 and any(moves):
+        raise MethodError(
+            f"The motor moves at the first sample of record {moves.index(True) + 1}; expected that each of several "
+            "begins at rest, of a flexible joint: cut it where the motor rests."
+        )
+    # A load at rest rests where it was left.
+    first = tuple(replace(p, free=moves[0], start=0.0) for p in _LOAD_PARAMETERS[: 2 * flexible])
+    return ClosedLoopProblem(tuple(logs), (*parameters, *first, delay), np.ones(1), setup)
+
+
+def _motion_log(record: Record, joint: Joint, filtering: Filtering) -> MotionLog:
+    torque, (position,) = torque_and_positions(record, joint, ("motor_position",), "Drive-side identification")
     # How late the log shows the torque is searched, so its timing is taken as it is.
-    stated, model = [replace(torque, stated=True)], setup.joint.model
-    motion = motion_along(stated, position[:, np.newaxis], filtering, model=model)
-    velocity, cutoff = motion.v[:, 0], motion.filtering.position_cutoff
+    stated, counts = [replace(torque, stated=True)], record.counts(position.size, torque.sample_time)[:, np.newaxis]
+    motion = motion_along(stated, position[:, np.newaxis], filtering, model=joint.model, counts=counts)
+    velocity, cutoff = (motion.v * motion.counts)[:, 0], motion.filtering.position_cutoff
     assert cutoff is not None
     weights = moving_weights(velocity)
     # The rounding of an encoder would have the load of a motor that rests begin where Coulomb friction drags it.
-    prescribed = prescribe(motion.q, sample_time, PARTS, resting=not weights[0])
-    if model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
-        weights = steady_weights(velocity, cutoff, sample_time)[1]
-    motion = replace(motion, moving=weights[:, np.newaxis], told=-math.inf)  # faint rows count, too
-    around = () if model == "rigid" else _LOAD_PARAMETERS
-    # A load at rest rests where it was left.
-    first = tuple(replace(p, free=bool(weights[0]), start=0.0) for p in around)
-    log = MotionLog(motion.torque, motion.filtering, motion, prescribed, PARTS)
-    return ClosedLoopProblem((log,), (*parameters, *first, delay), np.ones(1), setup)
+    prescribed = prescribe(motion.q, torque.sample_time, PARTS, resting=not weights[0])
+    if joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
+        weights = steady_weights(velocity, cutoff, torque.sample_time)[1]
+    motion = replace(motion, moving=weights[:, np.newaxis] * motion.counts, told=-math.inf)  # faint rows count, too
+    return MotionLog(motion.torque, motion.filtering, motion, prescribed, PARTS)
 
 
 @add_settings_to_docstring
@@ -119,20 +122,20 @@ class DriveSideFit(Method):
             RecordError: a channel is missing, or at another rate.
             MethodError: no start gives a joint with positive inertias.
         """
-        record, setup = task.record, DriveSide(task.joint)
-        record.require(("torque", "motor_position"), "Drive-side identification")
-        assert record.torque is not None
-        delay = log_delay(self.log_delay, record.torque.sample_time, stated=record.torque.stated)
-        problem, history = motion_problem(record, setup, task.filtering, task.parameters, delay), History(task.progress)
-        motion = problem.log.motion
-        moving = moving_weights(motion.v[:, 0])[:, np.newaxis]
-        if isinstance(task.joint, FlexibleJoint):
-            found = _search_spring(record, task.joint, problem, history).solution
+        records, setup, history = (task.record, *task.others), DriveSide(task.joint), History(task.progress)
+        for record in records:
+            record.require(("torque", "motor_position"), "Drive-side identification")
+        torque: Any = task.record.torque
+        delay = log_delay(self.log_delay, torque.sample_time, stated=torque.stated)
+        problem = motion_problem(records, setup, task.filtering, task.parameters, delay)
+        motions: list[MeasuredMotion] = [_keep_reversals(log).motion for log in problem.logs]
+        if task.joint.model == "flexible":
+            found = _search_spring(records, problem, history).solution
         else:
             try:
                 found = _fit_rigid(problem, history).solution
             except MethodError:  # of a light joint in noise the reversals may be all that tells of its inertia
-                problem = problem.map_logs(lambda log: log.with_rows(moving))
+                problem = problem.map_logs(_keep_reversals)
                 found = _fit_rigid(problem, history).solution
         x, J, error = found.x, found.jacobian, found.residual
         influence = Influence(J, error)
@@ -140,14 +143,15 @@ class DriveSideFit(Method):
         # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
         idle = np.asarray(~J.any(axis=0), dtype=np.bool_)
         covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
-        warnings = list(describe_noise_limit(problem.filtering, motion.limit, problem.sample_time, task.joint.model))
-        if (resting := 1 - float(np.mean(moving))) > SAID:
+        limit, resting = min(one.limit for one in motions), 1 - np.mean(np.vstack([one.moving for one in motions]))
+        warnings = list(describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model))
+        if resting > SAID:
             warnings.append(
                 f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
             )
         late = -problem.values(x)[LOG_DELAY.name]
         return build_estimate(
-            [record],
+            records,
             rows_of_problem(problem, x, covariance, error, J),
             covariance.correlation,
             (problem.measured, problem.predict(problem.run(x))),
@@ -161,10 +165,15 @@ class DriveSideFit(Method):
         )
 
 
-def _search_spring(record: Record, joint: FlexibleJoint, problem: ClosedLoopProblem, history: History) -> Solved:
+def _keep_reversals(log: Any) -> Any:
+    return log.with_rows(moving_weights((log.motion.v * log.motion.counts)[:, 0])[:, np.newaxis])
+
+
+def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
     """Return the end of the search from a rigid joint below the resonance."""
-    slow, delay = Filtering(cutoff=rigid_cutoff(record)), problem.parameters[-1]
-    rigid = motion_problem(record, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
+    joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.parameters[-1]
+    assert isinstance(joint, FlexibleJoint)
+    rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))
     return history.solve(problem, search_spring(problem, values, row, problem.filtering, history).x)

@@ -69,7 +69,7 @@ class Task:
         parameters: of the joint; free ones are estimated. One's own start replaces that of the method.
         filtering: how the signals are filtered.
         progress: receives the iterations.
-        others: records that are identified with the first in one fit, by IDIM.
+        others: records that are identified with the first in one fit, without their loop.
     """
 
     record: Record

@@ -74,7 +74,7 @@ LARGEST = 2_400_000
 """Samples times the square of n masses or joints of a motion whose columns are made at once; see `split`."""
 
 _FEW = 0.1  # of the moving samples: if less were left without reversals, these stay
-_TOLD = 0.05  # of a row's weight: what holds less is of rest
+TOLD = 0.05  # of a row's weight: what holds less is of rest
 _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 
 
@@ -86,12 +86,13 @@ class MeasuredMotion:
         q, v, a: (samples, n) positions and their derivatives.
         torque: (samples, n) of the motors, behind their gears, through the window of their timing; of a robot without
             that of the record's payload, on the load of a joint 0.
-        moving: (samples, n) 0 where a mass rests or turns round, else 1.
+        moving: (samples, n) 0 where a mass rests or turns round, or what is left out of the record, else 1.
         sample_time: s.
         filtering: resolved.
         limit: Hz, the highest cut-off that the noise of the positions allows.
         raw: (samples, n) positions as measured.
         if_sampled: (samples, n) what torques of unstated timing, read as held, are more if read as sampled; else 0.
+        counts: (samples, n) 0 at what is left out of the record, else 1.
         apart: whether rows at which no mass moves are left out, as of a joint; else they are 0.
         told: of a row's weight; what holds less is of rest.
     """
@@ -106,8 +107,9 @@ class MeasuredMotion:
     limit: float
     raw: FloatArray
     if_sampled: FloatArray
+    counts: FloatArray
     apart: bool = False
-    told: float = _TOLD
+    told: float = TOLD
 
     def decimate(self, signals: FloatArray) -> FloatArray:
         """Return signals, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
@@ -127,7 +129,7 @@ class MeasuredMotion:
 
     def cut(self, first: int, end: int) -> MeasuredMotion:
         """Return the motion of some samples."""
-        named = ("q", "v", "a", "torque", "moving", "raw", "if_sampled")
+        named = ("q", "v", "a", "torque", "moving", "raw", "if_sampled", "counts")
         return replace(self, **{name: getattr(self, name)[first:end] for name in named})
 
     def read_as(self, timing: Timing | None) -> MeasuredMotion:
@@ -218,12 +220,7 @@ def turn(robot: Robot, motion: MeasuredMotion) -> MeasuredMotion:
 
 
 def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
-    """Return the rows of several logs as of one: those of one equation after those of the other.
-
-    Args:
-        each: (rows,) or (rows, columns) of each log.
-        equations: how many share their instants.
-    """
+    """Return the rows of several logs, (rows, ...) each, as of one: those of one equation after those of the other."""
     whole = np.concatenate([rows.reshape(equations, -1, *rows.shape[1:]) for rows in each], axis=1)
     return whole.reshape(-1, *whole.shape[2:])
 
@@ -253,8 +250,9 @@ def motion_along(
     filtering: Filtering,
     delays: Sequence[float] = (0.0,),
     model: str = "rigid",
+    counts: FloatArray | float = 1.0,
 ) -> MeasuredMotion:
-    """Return the motion along raw positions, (samples, n), of which all samples count.
+    """Return the motion along raw positions, (samples, n).
 
     Args:
         torques: on the first of n masses or joints, at the positions' rate.
@@ -262,7 +260,10 @@ def motion_along(
         filtering: of positions and rows.
         delays: seconds from each logged torque to the torque that acts, or one for all.
         model: "rigid" or "flexible", whose cut-offs are taken where there are none.
+        counts: (samples, n) or (samples, 1), 0 at what is left out.
     """
+    from scipy.ndimage import minimum_filter1d
+
     measured, more, sample_time = np.zeros(positions.shape), np.zeros(positions.shape), torques[0].sample_time
     limit, size = find_noise_limit(positions.T, sample_time), len(positions)
     filtering = filtering.resolve(sample_time, model, limit)
@@ -273,21 +274,18 @@ def motion_along(
             read = [window_torque(replace(torque, timing=way), delay) for way in ways]
         measured[:, j], more[:, j] = read[0][:size], (read[-1] - read[0])[:size]
     moved = filter_motion(positions, sample_time, filtering)
-    return MeasuredMotion(*moved, measured, np.ones(positions.shape), sample_time, filtering, limit, positions, more)
+    # The filter of the positions, which may go over torques, too, smears what is left out by a period.
+    reach = math.ceil(1.0 / ((filtering.position_cutoff or math.inf) * sample_time))
+    counts = minimum_filter1d(np.broadcast_to(counts, positions.shape), 2 * reach + 1, axis=0)
+    return MeasuredMotion(*moved, measured, counts, sample_time, filtering, limit, positions, more, counts)
 
 
 def torque_and_positions(
     record: Record, joint: Joint, names: Sequence[str], method: str
 ) -> tuple[Channel, tuple[FloatArray, ...]]:
-    """Return the torque on the motor, and positions of as many samples, (samples,) each.
+    """Return the torque on the motor, and its positions of these names of as many samples, (samples,) each.
 
     The log lacks a signal that was injected after the controller's limit; it is added.
-
-    Args:
-        record: with all of them.
-        joint: whose units they have.
-        names: of the positions.
-        method: as an error names it.
 
     Raises:
         RecordError: a channel is missing, in another unit, not sampled, at another rate, or has values that are none.
@@ -450,14 +448,16 @@ def measure_motion(
     sample_time, size = channels[0].sample_time, min(map(len, positions))
     raw, springs = np.column_stack([position[:size] for position in positions]), joints[0].model == "flexible"
     delays = [_late(record, delay, sample_time) for record in records]
-    motion = motion_along(channels, raw, filtering, delays, model if robot else joints[0].model)
+    counts = np.column_stack([record.counts(size, sample_time) for record in records])
+    motion = motion_along(channels, raw, filtering, delays, model if robot else joints[0].model, counts)
     cutoff = motion.filtering.position_cutoff
     if cutoff is not None and filtering.timing == "respected":  # the published pipeline takes all rows
         few = _FEW if robot is None else 0.0
-        weights = [steady_weights(v, cutoff, sample_time, smear, few) for v in motion.v.T]
+        seen = motion.v * motion.counts  # what is left out rests
+        weights = [steady_weights(v, cutoff, sample_time, smear, few) for v in seen.T]
         # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
         moving = np.column_stack([moves if springs else steady for moves, steady in weights])
-        motion = replace(motion, moving=moving, apart=robot is None)
+        motion = replace(motion, moving=moving * motion.counts, apart=robot is None)
     if robot is None:
         return motion
     require_torques(robot, [channel.values for channel in channels])

@@ -143,12 +143,7 @@ def solve_rows(
     Unless an inertia is below 0, what violates a bound most, in deviations, is held there, and the rest solved again.
     A torque of unstated timing is read in both ways.
 
-    Args:
-        rows: of all parameters.
-        estimator: its name.
-        known: values and bounds by name; of others there are none.
-        instruments: of "iv" alone.
-        turns: of weights, at most.
+    Known are values and bounds by name; there are instruments of "iv" alone, and so many turns of weights at most.
 
     Raises:
         MethodError: all parameters are fixed, the rows do not determine those that are not, or the estimator is not for
@@ -231,12 +226,7 @@ def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
 
 
 def _read_timing(held: Solution, sampled: Solution) -> Solution:
-    """Return the solution whose reading of the torque the record shows, widened by what it leaves open.
-
-    Args:
-        held: solution of a held torque.
-        sampled: that of a sampled one.
-    """
+    """Return the solution whose reading of the torque the record shows, widened by what it leaves open."""
     each = np.array([held.residual, sampled.residual]).reshape(2, held.rows.driven, -1)
     power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1
     each /= np.sqrt(np.maximum(power, _LEAST * np.mean(held.rows.Y**2)))[:, np.newaxis]

@@ -38,13 +38,13 @@ from jointid.estimation.parameters import (
     surrounding,
 )
 from jointid.estimation.problems.inverse_model import (
+    TOLD,
     MeasuredMotion,
     Records,
     each_log,
     join_rows,
     measure_motion,
     moving_weights,
-    require_one_log,
     require_torques,
 )
 from jointid.models.controllers import POSITION, REFERENCE, Controller, number, with_numbers
@@ -54,8 +54,6 @@ from jointid.models.robots.robot import Robot, RobotLoop, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
-    decimate_all,
-    drop_ends,
     lowpass,
     noise_limit_of_computed,
     window_parts,
@@ -115,13 +113,17 @@ class LoopLog:
         stride: rad of the fastest motion in one step of the integrator.
         seen: of each joint, what takes a motor position to a torque that was computed; None where it was logged. The
             derivatives are those of the controller's output, the same but for what a faster controller sees between.
+        counts: (samples,) 0 at what is left out of the record, which is simulated too, else 1.
+        ends: samples at either end in which there are no rows.
     """
 
     measured: FloatArray
     filtering: Filtering
     experiment: LoopInput
+    counts: FloatArray
     stride: float = FINE
     seen: tuple[SeenPosition | None, ...] = ()
+    ends: tuple[int, int] = (0, 0)
     motion_measured: ClassVar[bool] = False
 
     @property
@@ -201,11 +203,22 @@ class LoopLog:
         """Return the derivatives of a run's filtered torques by parameters, (rows, keys)."""
         return _in_blocks(lambda some: decimate_each(self, self.columns(run, some)), keys)
 
+    @property
+    def kept(self) -> NDArray[np.intp]:
+        """The samples that rows are taken at, (rows,): the last, and every so many before it, of those that count."""
+        samples, keep = len(self.measured), self.filtering.decimation or 1
+        at = np.arange((samples - 1) % keep, samples, keep)
+        inside = (at >= self.ends[0]) & (at < samples - self.ends[1])
+        if not np.all(self.counts):
+            inside &= self.filtering.decimate(self.counts, self.sample_time) > TOLD
+        return at[inside]
+
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Return columns of one joint, (samples, ...), filtered; without the ends if a torque is computed."""
+        """Return columns of one joint, (samples, ...), filtered, in the rows of `kept`."""
         del joint
-        rows = decimate_all([columns], self.filtering, self.sample_time)[0]
-        return drop_ends(rows, self.filtering, len(columns)) if any(self.seen) else rows
+        every = bool(np.all(self.counts))
+        rows = self.filtering.decimate(columns if every else (columns.T * self.counts).T, self.sample_time)
+        return rows if every and not any(self.ends) else rows[self.kept // (self.filtering.decimation or 1)]
 
 
 @lru_cache(maxsize=2)
@@ -283,7 +296,7 @@ class MotionLog:
 
     def with_rows(self, moving: FloatArray) -> MotionLog:
         """Return the log with other samples that count, (samples, n) of 0 and 1."""
-        return replace(self, motion=replace(self.motion, moving=moving))
+        return replace(self, motion=replace(self.motion, moving=moving * self.motion.counts))
 
     def run(self, numbers: Numbers, *, keep: bool = True, room: Room | None = None) -> DriveSideRun:
         """Simulate a candidate; its tape is kept anyway."""
@@ -564,8 +577,7 @@ class ClosedLoopProblem(Simulated):
     @property
     def measured(self) -> FloatArray:
         """The torque, (samples,)."""
-        torque: FloatArray = self.log.measured[:, 0]
-        return torque
+        return np.concatenate([log.measured[:, 0] for log in self.logs])
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -677,16 +689,9 @@ class ClosedLoopProblem(Simulated):
         """Return the torque the log of a loop should show, raw, (samples,); `driven` changes what drives it."""
         return np.asarray(self.log.predict(self.log.run(self.numbers(x), keep=False, driven=driven))[:, 0])
 
-    @property
-    def kept(self) -> NDArray[np.intp]:
-        """The samples that rows of the residual are taken at, (rows,): the last one, if no ends are dropped."""
-        samples, keep = self.measured.size, self.filtering.decimation or 1
-        rows = np.arange((samples - 1) % keep, samples, keep)
-        return drop_ends(rows, self.filtering, samples) if any(self.log.seen) else rows
-
     def cells(self, simulation: Simulation) -> Cells:
         """Return the cell of position and velocity of the simulated motor for each row of the residual."""
-        return cells(simulation.motor_position[self.kept], simulation.motor_velocity[self.kept])
+        return cells(simulation.motor_position[self.log.kept], simulation.motor_velocity[self.log.kept])
 
 
 def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0, torque: float | None = None) -> float:
@@ -774,8 +779,6 @@ def pose_robot(
     robot = setup if isinstance(setup, Robot) else setup.robot
     model = "flexible" if any(robot.flexible) else "rigid"
     if isinstance(setup, RobotLoop):
-        for log in logs:
-            require_one_log(log)
         moved = [loop_log(setup, log, model, filtering) for log in logs]
         for one in moved:
             require_torques(robot, one.measured.T)
@@ -821,7 +824,10 @@ def loop_log(
         if law is not None and record.motor_position is not None:
             measured[:, j] = law.torque(record.motor_position.values)[:samples]
     resolved = (filtering or Filtering()).resolve(sample_time, model, noise_limit_of_computed(records, sample_time))
-    return LoopLog(measured, resolved, experiment, seen=seen)
+    counts = np.min([record.counts(samples, sample_time) for record in records], axis=0)
+    # A filter that is padded about the ends holds to a noisy end, which a difference of positions makes large.
+    inside = resolved.inside(samples) if any(seen) else slice(0, samples)
+    return LoopLog(measured, resolved, experiment, counts, seen=seen, ends=(inside.start, samples - inside.stop))
 
 
 def _motion_log(robot: Robot, records: Sequence[Record], model: str, filtering: Filtering) -> tuple[MotionLog, Bools]:

@@ -9,10 +9,9 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError, RecordError
@@ -69,7 +68,7 @@ class Filtering:
         "frequency",
         at_least=1,
     )
-    borders: tuple[int, int] = setting((50, 50), "samples dropped at the start and at the end")
+    borders: tuple[int, int] = setting((50, 50), "samples dropped at start and end; of a short record half at most")
     timing: Literal["respected", "as_sampled"] = setting(
         "respected",
         "whether a held or averaged torque is brought to the instants of the positions, or read half a period early, "
@@ -121,7 +120,8 @@ class Filtering:
         Raises:
             RecordError: too few of them are left to be filtered.
         """
-        first, last = self.borders
+        share = min(1.0, samples / (2 * max(sum(self.borders), 1)))
+        first, last = (int(share * one) for one in self.borders)
         _require_samples(max(samples - first - last, 0), 3 * _ORDER)
         return slice(first, samples - last)
 
@@ -206,22 +206,6 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
     kept = np.array(inside[(samples - 1) % keep :: keep], order="F")
     split = np.split(kept, ends[:-1], axis=1)
     return [one[:, 0] if part.ndim == 1 else one for part, one in zip(parts, split, strict=True)]
-
-
-def drop_ends(rows: NDArray[Any], filtering: Filtering, samples: int) -> NDArray[Any]:
-    """Return decimated rows without those within the borders of the record.
-
-    A filter that is padded about its ends holds to a noisy end, which a difference of positions makes large.
-    Rows are (rows,) or (rows, columns), the samples those before the decimation.
-    """
-    inside, at = filtering.inside(samples), decimated_at(len(rows), samples, filtering)
-    return np.asarray(rows[(at >= inside.start) & (at < inside.stop)])
-
-
-def decimated_at(rows: int, samples: int, filtering: Filtering) -> NDArray[np.intp]:
-    """Return the samples of decimated rows, (rows,): the last, and every so many before it."""
-    assert filtering.decimation is not None
-    return np.asarray(samples - 1 - filtering.decimation * np.arange(rows)[::-1], dtype=np.intp)
 
 
 @lru_cache(maxsize=64)
@@ -378,14 +362,7 @@ def lowpass_below_noise(values: FloatArray, limit: float, sample_time: float) ->
 
 
 def describe_noise_limit(filtering: Filtering, limit: float, sample_time: float, model: str) -> tuple[str, ...]:
-    """Return a sentence where a stated cut-off is too wide for the noise of positions.
-
-    Args:
-        filtering: resolved.
-        limit: of `find_noise_limit`.
-        sample_time: s.
-        model: of the joint, "rigid" or "flexible".
-    """
+    """Return a sentence where the stated cut-off of a resolved filtering is above the limit of `find_noise_limit`."""
     default, cutoff = default_cutoffs(sample_time, model)[1], filtering.cutoff or math.inf
     if cutoff <= limit * (1 + 1e-9) or limit >= default:
         return ()
