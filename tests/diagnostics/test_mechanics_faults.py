@@ -24,7 +24,7 @@ from jointid.diagnostics.suspects import (
     list_signatures,
 )
 from jointid.estimation.descent import descend
-from jointid.estimation.methods.force_in_loop import find_force
+from jointid.estimation.force_in_loop import find_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Reason, Trust

@@ -7,7 +7,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.messages import ignore_progress
-from jointid.estimation.methods.force_in_loop import find_force, widen_for_force
+from jointid.estimation.force_in_loop import find_force, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.springs import visible
 from jointid.models.controllers import Cascade

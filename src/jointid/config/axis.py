@@ -18,7 +18,7 @@ from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.common.units import Kind, UnitError
 from jointid.config.declaration import Place, fault_at, locate, output_of, to_si
 from jointid.config.tables import Source, Values, make_method
-from jointid.estimation.methods.registry import Method, methods
+from jointid.estimation.methods import METHODS, Method, method_of
 from jointid.models.controllers import Controller, declared_unit, numbers_of
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -329,9 +329,9 @@ def _choose_method(axis: Axis, model: str) -> str:
     found |= {*(() if axis.drive.traces is None else axis.drive.traces.channels)}
     if "motor_position" in axis.columns and axis.computes_torque:
         found.add("torque")
-    for method in methods():
-        ready = {*method.channels(model, law)} <= found and (law is not None or not method.needs_controller)
-        if method.default_for in (ClosedLoop, Joint) and ready:
+    for method in map(method_of, METHODS):
+        ready = {*method.channels(model, law)} <= found and (law is not None or method.simulates != "loop")
+        if {ClosedLoop, Joint} & {*method.default_for} and ready:
             return method.name
     return "didim"
 

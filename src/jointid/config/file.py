@@ -18,9 +18,9 @@ from jointid.common.parameters import Parameter
 from jointid.config.axis import Axis
 from jointid.config.tables import FeedForward, Run, Source
 from jointid.config.toml import Change
+from jointid.estimation.methods import Method
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
 from jointid.models.joints import Joint

@@ -23,7 +23,7 @@ from jointid.config.axis import Axis, build_axis
 from jointid.config.declaration import fault_at, keys_of
 from jointid.config.robot_model import load_robot, reorder_joints
 from jointid.config.tables import Values, make_method
-from jointid.estimation.methods.registry import Method
+from jointid.estimation.methods import Method
 from jointid.estimation.parameters import name_in_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint

@@ -18,7 +18,7 @@ from jointid.common.settings import Setting, add_settings_to_docstring, declare,
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind, units_of
 from jointid.config.declaration import Place, Reader, Table, fault_at, key, keys_of
-from jointid.estimation.methods.registry import CALLED, MODELS, ROBOT, Method, MethodName, method_of, methods
+from jointid.estimation.methods import CALLED, METHODS, MODELS, ROBOT, Method, MethodName, method_of
 from jointid.models.controllers import FILTERS, LAWS, Controller
 from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.limits import AxisLimits
@@ -198,7 +198,7 @@ _METHOD = Table(
     key("name", MethodName,
         "by which method; without it that of a joint is didim if the record has what it needs, else idim; "
         "that of a robot is didim without a motor_position, drive_side with one and a spring, else idim")
-    | keys_of(*methods())
+    | keys_of(*map(method_of, METHODS))
 )  # fmt: skip
 
 

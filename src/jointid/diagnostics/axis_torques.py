@@ -143,7 +143,7 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     known: list[list[FaultSignature]] = [[] for _ in robot.names]
     source: Any  # of the filter and the sample time
     motion: MeasuredMotion | None
-    if settings.method == "idim":
+    if not settings.simulates:
         inverse = inverse_of_robot(robot, part.parameters)
         source = motion = inverse.measure(records, settings.filtering).read_as(settings.timing)
         columns, torque, decimate = inverse.columns(source), source.torque, source.decimate_columns
@@ -170,7 +170,7 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
         known = _list_reference_laws(part, records, problem, predicted)
     else:
         q, v, a = (one @ robot.coupling.T for one in (motion.q, motion.v, motion.a))
-    if settings.method == "idim":
+    if not settings.simulates:
         bends = np.moveaxis(thin(_bend(part, source)), 2, 0).reshape(n, len(_ROTORS), n, -1)
         bent = FAULTS["compliance"]
         known = [[FaultSignature(bent, *each) for each in zip(one, _ROTORS, strict=True)] for one in bends]

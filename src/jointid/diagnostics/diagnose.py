@@ -22,8 +22,8 @@ from jointid.diagnostics.explain import find_failure_causes
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.model_free import Agreement, compare_law, find_plain_cause
+from jointid.estimation.methods import Method
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import POOR_FIT, Subject
 from jointid.models.controllers import Controller

@@ -269,7 +269,7 @@ def diagnose_robot(
         axes.append(AxisDiagnosis(robot.names[k], *torques.judge(k), law, found, repeats, signal=estimate.signal))
     cause = find_copied_reference(robot, records)
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
-    if cause is None and method == "idim" and not all(one.whiteness and one.whiteness.white for one in axes):
+    if not (cause or estimate.settings.simulates or all(one.whiteness and one.whiteness.white for one in axes)):
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
     if cause is not None:
         return Diagnosis(robot.name, method, tuple(map(_wait_for_cause, axes)), torques, cause)

@@ -30,10 +30,10 @@ from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_p
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search import find_part_of_loop
 from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, AxisFaults, Fault, FaultSignature
+from jointid.estimation.force_in_loop import MATTERS, TOLD
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
-from jointid.estimation.methods.force_in_loop import MATTERS, TOLD
-from jointid.estimation.methods.registry import Method
+from jointid.estimation.methods import Method
 from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog, decimate_each
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import (

@@ -28,8 +28,8 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import interval, number
 from jointid.common.transmission import Transmission
 from jointid.estimation.descent import History, Solved, free_more
+from jointid.estimation.methods import Task
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.registry import Task
 from jointid.estimation.parameters import adjust_parameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.springs import fit_rigid

@@ -42,7 +42,7 @@ from jointid.diagnostics.suspects import (
     list_signatures,
     number_fault,
 )
-from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
+from jointid.estimation.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.parameters import surrounding
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers

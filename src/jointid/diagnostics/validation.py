@@ -28,6 +28,7 @@ from jointid.common.parallel import one_thread
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
+from jointid.estimation.methods import method_of
 from jointid.estimation.methods.drive_side import motion_problem
 from jointid.estimation.parameters import LOG_DELAY, robot_parameters
 from jointid.estimation.problems.inverse_model import (
@@ -124,7 +125,7 @@ class Validation(Documented):
 
     Attributes:
         test: "direct" on the record it was identified from, "cross" on another.
-        method: name of the estimate's; "idim" evaluates the inverse model on the measured position, others simulate.
+        method: name of the estimate's; one that simulates nothing evaluates the inverse model on the measured position.
         record, identified_from: names of the records.
         sample_time: of the signals, seconds.
         borders: samples left out at each end of the relative error.
@@ -186,9 +187,8 @@ class Validation(Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Return the answer and the errors as a document; there are no further details."""
         del details
-        how = {"didim": "simulated from the reference", "drive_side": "simulated along the motor position"}.get(
-            self.method, "computed from the measured position"
-        )
+        ways = {"loop": "simulated from the reference", "motion": "simulated along the motor position"}
+        how = ways.get(method_of(self.method).simulates, "computed from the measured position")
         test = f"{self.test} test on {self.record}, of what was identified from {self.identified_from}; torque {how}"
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
         error = f"{100 * self.relative_error:.4f} % raw ({left_out}), {100 * self.filtered_error:.4f} % filtered"
@@ -229,7 +229,7 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
     """
     records, settings = _take_records(estimate, record), estimate.settings
     robot = None if estimate.robot is None else estimate.robot.model
-    by_motion = settings.method == "idim" and (robot is not None or settings.loop is None)
+    by_motion = not settings.simulates and (robot is not None or settings.loop is None)
     found = (_evaluate_inverse_model if by_motion else _simulate)(estimate, records)
     torques = [one.torque for one in records if one.torque is not None]
     own = fingerprint(np.concatenate([torque.values for torque in torques])) in estimate.data.fingerprints

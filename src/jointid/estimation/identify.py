@@ -17,16 +17,12 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import Setting
 from jointid.common.text import number
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.registry import Method, Task, default_method
+from jointid.estimation.methods import Method, Task, default_method
 from jointid.estimation.parameters import LOG_DELAY, adjust_parameters, require_friction
 from jointid.estimation.pieces import GAIN, identify_records, identify_windows, lay_out, travel
 from jointid.estimation.problems.inverse_model import Records, each_log
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.verdict import Reason, Subject, check_of, scale_check
-from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings, range_faults, scale_faults
@@ -46,14 +42,6 @@ _LONGEST = 60.0  # s of a window, unless it is given
 _CONSTANT = ("offset", "gravity_constant", "coulomb_forwards", "coulomb_backwards")  # includes a constant torque
 _OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
 _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
-_SHARED = ("added_inertia", "own", "free")  # what several records are given
-
-_METHODS_OF: Mapping[type, tuple[type[Method], ...]] = {
-    Robot: (IDIM,),
-    RobotLoop: (DIDIM, IDIM),
-    RobotDriveSide: (DriveSideFit,),
-}
-"""The methods of each model of a robot, its default first."""
 
 
 def is_long(record: Record) -> bool:
@@ -82,8 +70,7 @@ def part_of(record: Record) -> Record:
 
 def _refuse_windows(record: object, model: object, method: Method | None, several: object) -> str:
     """Return the reason against windows, in a sentence; empty if there is none."""
-    others = isinstance(record, Sequence) or several or not isinstance(method, DIDIM | None)
-    if others or not isinstance(model, ClosedLoop):
+    if isinstance(record, Sequence) or several or not isinstance(model, ClosedLoop) or not _simulates_loop(method):
         return (
             "Windows are of one record of a joint, and simulate its loop; other methods need none: give a "
             "ClosedLoop and DIDIM, or leave windows out."
@@ -94,6 +81,11 @@ def _refuse_windows(record: object, model: object, method: Method | None, severa
             'declare friction = "symmetric", or cut the record by start and stop.'
         )
     return ""
+
+
+def _simulates_loop(method: Method | None) -> bool:
+    """Test whether a method simulates a loop, as the default one of a loop does."""
+    return method is None or method.simulates == "loop"
 
 
 def fit(
@@ -110,18 +102,22 @@ def fit(
     """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
     if fault := Setting("", above=0.0, type=float, optional=True).fault(windows):
         raise MethodError(f"windows, in seconds,{fault}")
-    filtering, known, streamed = filtering or Filtering(), parameters or {}, not isinstance(record, Record | Sequence)
+    filtering, known, listed = filtering or Filtering(), parameters or {}, isinstance(record, Sequence)
+    streamed = not listed and not isinstance(record, Record)
     if (streamed or windows is not None) and (said := _refuse_windows(record, model, method, several)):
         raise MethodError(said)
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
-        return _fit_robot(record, model, method, filtering, known, several, progress)
-    if isinstance(record, Sequence):
+        if not listed or several:
+            raise MethodError("A robot is identified from its joints' records; give these without `several`.")
+        return _fit_robot(record, model, method or default_method(model), filtering, known, progress)
+    if listed:
         return _fit_records(record, model, method, filtering, known, several or {}, progress)
     if several is not None or isinstance(model, Sequence):
         raise MethodError("Several loops, and `several`, are of a list of records; received one: give all.")
     read: list[Any] = [] if streamed else [record]
-    if isinstance(model, ClosedLoop) and isinstance(method, DIDIM | None):
-        read = torques_of(read, [model] * len(read), (method or DIDIM()).outputs)
+    method = method or default_method(model)
+    if isinstance(model, ClosedLoop) and _simulates_loop(method):
+        read = torques_of(read, [model] * len(read), method.outputs)
     if streamed or windows is not None:
         log: Any = record if streamed else InMemory(read[0])
         alone = partial(identify_record, method=method, filtering=filtering, progress=progress)
@@ -145,10 +141,11 @@ def _fit_records(
     Raises:
         RecordError, MethodError: records, model and method do not belong together.
     """
-    asked = any(name not in _SHARED or (any(v) if np.iterable(v) else v) for name, v in several.items())
+    shared = "added_inertia", "own", "free"
+    asked = any(name not in shared or (any(v) if np.iterable(v) else v) for name, v in several.items())
     plain = isinstance(model, Joint | DriveSide | ClosedLoop) and not asked
-    alike = plain and isinstance(method or default_method(model)(), IDIM | DriveSideFit)
-    by_loop = isinstance(model, ClosedLoop | Sequence) and isinstance(method, DIDIM | None)
+    alike = plain and (method or default_method(model)).stacks
+    by_loop = isinstance(model, ClosedLoop | Sequence) and _simulates_loop(method)
     if not (records and all(isinstance(one, Record) for one in records) and (alike or by_loop)):
         raise MethodError(
             "Several records are a list of records, identified by their loop, or without it if they share all "
@@ -159,7 +156,7 @@ def _fit_records(
         raise MethodError("Two of the records are the same: name another file.")
     if alike:
         return identify_record(records[0], model, method, filtering, known, progress, records[1:])
-    own: Any = method or DIDIM()
+    own: Any = method or default_method(model if isinstance(model, ClosedLoop) else model[0])
     layout = lay_out(len(records), model, own.free, several)
     own = replace(own, free=tuple(name for name in layout.free if name != GAIN))
     read = torques_of(records, layout.loops, own.outputs)
@@ -168,39 +165,26 @@ def _fit_records(
 
 
 def _fit_robot(
-    record: Any,
-    model: Any,
-    method: Method | None,
-    filtering: Filtering,
-    known: Mapping[str, Parameter],
-    several: object,
-    progress: Progress,
+    record: Any, model: Any, method: Method, filtering: Filtering, known: Mapping[str, Parameter], progress: Progress
 ) -> Estimate:
     """Return the fit of a robot to the records of its joints, of one log or of several.
 
     Raises:
         RecordError, MethodError: records, model and method do not belong together.
     """
-    if isinstance(record, Record) or several:
-        raise MethodError("A robot is identified from its joints' records; give these without `several`.")
-    robot = model if isinstance(model, Robot) else model.robot
+    robot: Robot = model.robot
     require_friction(robot, known)
     logs = each_log(record)
     _check_robot_records(logs, robot)
-    chosen: Any = method or _METHODS_OF[type(model)][0]()
-    chosen.require_settings_of("robot")
-    if isinstance(model, RobotLoop) and isinstance(chosen, DIDIM):
-        logs = tuple(torques_of(log, model.loops, chosen.outputs) for log in logs)
-    read, records = [one for log in logs for one in log], logs if len(logs) > 1 else logs[0]
-    if type(chosen) not in _METHODS_OF[type(model)]:
+    method.require_settings_of("robot")
+    if type(model) not in method.robots:
         raise MethodError(
-            f"{type(chosen).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
+            f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
             "RobotLoop, or DriveSideFit for a RobotDriveSide."
         )
-    if isinstance(chosen, IDIM):
-        found = chosen.identify_robot(robot, logs, filtering, known, None if model is robot else model)
-    else:
-        found = identify_simulated_robot(model, records, chosen, filtering=filtering, known=known, progress=progress)
+    if _simulates_loop(method):
+        logs = tuple(torques_of(log, model.loops, method.outputs) for log in logs)
+    found, read = method.identify_robot(model, logs, filtering, known, progress), [one for log in logs for one in log]
     warnings = (
         f"{name}: {said}"
         for log in logs
@@ -225,8 +209,8 @@ def identify_record(
         MethodError: the method does not fit the model, or an inertia is not positive.
     """
     loop = model if isinstance(model, ClosedLoop) else None
-    joint = model.joint if isinstance(model, ClosedLoop | DriveSide) else model
-    chosen = method or default_method(model)()
+    joint: Any = getattr(model, "joint", model)
+    chosen = method or default_method(model)
     wanted = adjust_parameters(joint.parameters, parameters or {})
     for one in (record, *others):
         check_record(one)
@@ -251,16 +235,15 @@ def identify_record(
 
 def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
     """Refuse a method that does not fit the joint or lacks its controller."""
-    if method.needs_controller and loop is None:
+    simulates_loop = _simulates_loop(method)
+    if simulates_loop and loop is None:
         raise MethodError(
             f"{method.title} simulates the closed loop, so it needs the controller; add [controller] or use "
             "learn-controller (in Python give a ClosedLoop), or use IDIM with a motor_position."
         )
     method.require_settings_of(joint.model)
-    if not method.needs_controller:
+    if not simulates_loop:
         joint.require_linear(f"{method.title} takes")
-    if method.name == "drive_side":
-        DriveSide(joint)  # which says what it does not take
 
 
 def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None:
@@ -342,7 +325,7 @@ def state_timing(fit: Estimate, records: Sequence[Record]) -> Estimate:
     are one: a controller's output is the same at its stamp and until its next period.
     """
     stated = all(one.torque.stated for one in records if one.torque is not None)
-    if stated or fit.settings.method != "drive_side":
+    if stated or fit.settings.simulates != "motion":
         return fit
     more = 0.25 * fit.data.sample_time  # half of it in two deviations
     rows = tuple(

@@ -13,7 +13,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.methods.registry import METHODS, method_of
+from jointid.estimation.methods import METHODS, method_of
 from jointid.estimation.parameters import LOG_DELAY, add_delays, apply_constraints, log_delay, robot_parameters
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.problems.simulated import of_record
@@ -62,14 +62,14 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
             of_law = freed.keys() & numbers_of(loop.controller).keys()
             loop = replace(loop, controller=with_numbers(loop.controller, {name: freed[name] for name in of_law}))
     else:
-        robot = system if isinstance(system, Robot) else system.robot
+        robot = system.robot
         part = _restore_robot(answer, system, robot, rows)
         if [*fit["axis_errors"]] != [*robot.names]:
             raise ValueError
     shares = {name: _share(fit[name]) for name in ("relative_error", "filtered_error")}
     of_axes = {key: {name: _share(one) for name, one in fit[key].items()} for key in ("axis_errors", "nominal_errors")}
     empty = np.zeros((0,) if robot is None else (0, len(robot)))
-    law = loop if method_of(settings["method"]).needs_controller else None
+    law = loop if method_of(settings["method"]).simulates == "loop" else None
     said = {name: read(tuple[str, ...], answer[name]) for name in ("warnings", "notes")}
     found = Estimate(
         tuple(rows.values()),
@@ -100,13 +100,13 @@ def _restore_robot(
         RecordError: it is another one, has no controllers where they are needed, or a value is refused.
     """
     settings = answer["settings"]
-    method: str = settings["method"]
+    simulates = method_of(settings["method"]).simulates
     setup: RobotSystem = RobotDriveSide(robot)
     if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):
         raise RecordError(f"it is of the joints {', '.join(stated)}, and this robot has {', '.join(robot.names)}")
     if refused := [name for name, row in rows.items() if row.value is None]:
         raise RecordError(f"it refuses {', '.join(refused)}, so it predicts no torque; identify these joints as rigid")
-    if method == "idim":
+    if not simulates:
         robot = robot.rigid
         setup = replace(system, robot=robot) if isinstance(system, RobotLoop) else robot
         parameters = robot_parameters(robot, whole=False)
@@ -115,8 +115,8 @@ def _restore_robot(
         known = {row.name: Parameter(row.name, row.symbol, Quantity.FORCE).fix(row.value or 0.0) for row in fixed}
         offsets = any(f"{name}.offset" in rows for name in robot.names)
         # Along a motion the laws are lines.
-        parameters = apply_constraints(robot_parameters(robot, offsets=offsets, whole=method == "didim"), known)
-    if method == "didim":
+        parameters = apply_constraints(robot_parameters(robot, offsets=offsets, whole=simulates == "loop"), known)
+    if simulates == "loop":
         if not isinstance(system, RobotLoop):
             raise RecordError("it was identified under controllers, and this robot has none; add [controller] tables")
         free = [j for j, one in enumerate(robot.names) if name_of(DELAY, one) in rows]

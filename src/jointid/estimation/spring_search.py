@@ -39,7 +39,7 @@ from jointid.common.parallel import in_threads
 from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.common.transmission import SIDES
 from jointid.estimation.descent import NOTHING, ROUGH, ROUGHLY, History, Solved, is_significant, search_rigid_joint
-from jointid.estimation.methods.registry import Task
+from jointid.estimation.methods import Task
 from jointid.estimation.parameters import INITIAL_STATE, RobotParameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, outcome_of, torque_problem
 from jointid.estimation.rigid_starts import first_state, reconstructed_position, regular_start, rigid_starts

@@ -79,7 +79,14 @@ class _JointBase:
     @property
     def springs(self) -> tuple[Spring, ...]:
         """The law of the spring, where there is one."""
-        return ()
+        spring: Spring | None = getattr(self, "spring", None)
+        return () if spring is None else (spring,)
+
+    @property
+    def rigid(self) -> RigidJoint:
+        """The joint whose spring does not give: what this one is far below its resonance."""
+        ripple = None if self.ripple is None else replace(self.ripple, side="motor")
+        return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, ripple)
 
     @property
     def stepped(self) -> bool:
@@ -137,17 +144,16 @@ class _JointBase:
         """
         offset, gravity = Parameter("offset", "offset", Quantity.FORCE), self.gravity
         identifiable = self.friction.offset_identifiable and (gravity is None or gravity.load != "constant")
-        spring: Spring | None = getattr(self, "spring", None)
         motor, *load = (
             (
                 Parameter(f"{side}inertia", f"ZZ{index}", Quantity.INERTIA, lower=_TINY),
                 *self.friction.parameters(side, index),
             )
-            for side, index in zip(self.sides, ("",) if spring is None else ("1", "2"), strict=True)
+            for side, index in zip(self.sides, ("1", "2") if self.springs else ("",), strict=True)
         )
         return (
             *motor,
-            *(() if spring is None else spring.parameters),
+            *(p for spring in self.springs for p in spring.parameters),
             *(p for one in load for p in one),
             offset if identifiable else offset.fix(0.0),
             *(p for _, force in self.forces for p in force.parameters),
@@ -216,9 +222,7 @@ class RigidJoint(_JointBase):
     @property
     def flexible(self) -> FlexibleJoint:
         """The joint if there were a linear spring between motor and load."""
-        return FlexibleJoint(
-            self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, self.ripple
-        )  # fmt: skip
+        return FlexibleJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, self.ripple)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,17 +243,6 @@ class FlexibleJoint(_JointBase):
     sides = "motor_", "load_"
 
     spring: Spring = field(default_factory=Spring)
-
-    @property
-    def springs(self) -> tuple[Spring, ...]:
-        """The law of the spring."""
-        return (self.spring,)
-
-    @property
-    def rigid(self) -> RigidJoint:
-        """The joint whose spring does not give: what this one is far below its resonance."""
-        ripple = None if self.ripple is None else replace(self.ripple, side="motor")
-        return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, ripple)
 
     @property
     def linear(self) -> FlexibleJoint:

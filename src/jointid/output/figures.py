@@ -23,6 +23,7 @@ from jointid.common.transmission import Transmission
 from jointid.diagnostics.analysis import FrequencyResponse, Profiles, compute_response, estimate_spectra, intervals
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.validation import Validation, validate
+from jointid.estimation.methods import method_of
 from jointid.estimation.result.estimate import Estimate
 from jointid.records.record import Record, instants
 
@@ -127,7 +128,7 @@ class AxisSignals:
     @property
     def prediction(self) -> str:
         """How the signal is predicted, "simulated" or "inverse model"."""
-        return "inverse model" if self.method == "idim" else "simulated"
+        return "simulated" if method_of(self.method).simulates else "inverse model"
 
     @property
     def side(self) -> str:

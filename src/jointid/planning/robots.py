@@ -267,7 +267,7 @@ def robot_model(
     present: tuple[Record, ...] = ()
     if isinstance(model, Estimate):
         part = model.require_robot()
-        if model.settings.method == "didim" and isinstance(part.setup, RobotLoop):
+        if model.settings.simulates == "loop" and isinstance(part.setup, RobotLoop):
             loop = loop or part.setup
         robot = _identified_robot(model, loop)
         if records:
@@ -349,7 +349,7 @@ def _read_first(estimate: Estimate, records: Sequence[Record]) -> tuple[tuple[Re
     torques, robot = torques_of_robot(estimate, records), estimate.require_robot().model
     left = np.array([np.sqrt(np.mean(e[s] ** 2)) for e, s in zip(torques.error, torques.seen, strict=True)])
     present = tuple(records)
-    if estimate.settings.method != "didim":
+    if estimate.settings.simulates != "loop":
         motion = measure_motion(robot, records, estimate.settings.filtering)
         present = references(robot, motion.q, motion.sample_time)
     assert present[0].reference is not None

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.identify import identify
+from jointid.estimation.methods import Method
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties

@@ -85,7 +85,7 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
     from jointid import design
 
     # Of a motion that was never played nothing is logged: such a robot is predicted without.
-    asked |= {"filtering": file.filtering, "loop": None if file.method.name == "idim" else file.loop}
+    asked |= {"filtering": file.filtering, "loop": file.loop if file.method.simulates else None}
     asked |= {"feed_forward": file.feed_forward.replace("logged", "none")}
     known = all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
     if options.record is not None or file.source.file is not None or not (known or asked["motion"]):

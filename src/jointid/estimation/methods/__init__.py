@@ -1,1 +1,158 @@
-"""The identification methods, one file each, and the regressions they share."""
+"""The identification methods, and what each says of itself.
+
+A method is a file of this folder with a frozen dataclass of its settings that is a `Method` and is called as the file.
+All that knows methods asks here: identification, the joint file with its checks, the command line, the comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+
+from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, settings_of
+
+if TYPE_CHECKING:
+    from jointid.common.messages import Progress
+    from jointid.common.parameters import Parameter
+    from jointid.estimation.result.estimate import Estimate
+    from jointid.models.controllers import Controller
+    from jointid.models.joints import ClosedLoop, Joint
+    from jointid.records.record import Record
+    from jointid.records.signals.filtering import Filtering
+
+METHODS = tuple(sorted(module.name for module in iter_modules(__path__)))
+"""The names of the methods, none of which is loaded; of two whose needs are met the first is the default."""
+
+MethodName: Any = Literal[tuple(METHODS)]
+"""The type of a method's name: one of `METHODS`."""
+
+MODELS = ("rigid", "flexible")
+"""The models of a joint."""
+
+ROBOT = ("robot",)
+"""The system of settings that are a robot's alone."""
+
+CALLED: Mapping[str, str] = {"rigid": "a rigid joint", "flexible": "a flexible joint", "robot": "a robot"}
+"""What sentences call them."""
+
+
+SURROUNDINGS = (
+    "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
+    'declared: a number of the law such as "position_gain", "delay" or "torque_filters.0.frequency", or "log_gain", '
+    '"log_delay". For a robot only delays: "delay" for all joints, "elbow.delay" for one'
+)
+"""What the methods that simulate the loop say of their setting ``free``."""
+
+OFFSETS = "of a robot: whether a constant torque of each motor is identified, too"
+EVALUATIONS = "of a robot: simulations with derivatives at most, of each search of springs or of nonlinear laws"
+FREQUENCIES = (
+    "of a robot: by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of "
+    "springs begins; without them they are searched"
+)
+"""What the methods that simulate a robot say of their settings."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """The input of a method.
+
+    Attributes:
+        record: what was logged.
+        joint: the model.
+        loop: the joint under its controller; None where that is not known, which a method that needs it never sees.
+        parameters: of the joint; free ones are estimated. One's own start replaces that of the method.
+        filtering: how the signals are filtered.
+        progress: receives the iterations.
+        others: records that are identified with the first in one fit, by a method that stacks them.
+    """
+
+    record: Record
+    joint: Joint
+    loop: ClosedLoop | None
+    parameters: tuple[Parameter, ...]
+    filtering: Filtering
+    progress: Progress
+    others: tuple[Record, ...] = ()
+
+
+class Method(Protocol):
+    """One identification method: a dataclass of its settings that inherits from this.
+
+    Attributes:
+        name: in the joint file, on the command line and in an answer.
+        title: in a report.
+        default_for: the types of models that it identifies where no method is named.
+        robots: the types of models of robots that it identifies.
+        stacks: whether it identifies one joint from several records, see `Task.others`.
+        simulates: the "loop" under its controllers, with springs and frictions of any law, and then its estimate keeps
+            problem and solution; or what follows the measured "motion" of the motors; or nothing, "".
+        outputs: what a simulated loop reproduces, "torque" or "motor_position"; empty for what is logged.
+        free: names of what surrounds the joint and is identified, too.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    default_for: ClassVar[tuple[Any, ...]] = ()
+    robots: ClassVar[tuple[type, ...]] = ()
+    stacks: ClassVar[bool] = False
+    simulates: ClassVar[Literal["loop", "motion", ""]] = ""
+    outputs: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        _LOADED[cls.name] = cls
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @classmethod
+    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
+        """Return the names of the channels that it reads; of a controller not known, only the reference."""
+        if cls.simulates != "loop":
+            return "torque", "motor_position"
+        return ("torque", *(("reference",) if controller is None else controller.channels))
+
+    def require_settings_of(self, system: str) -> None:
+        """Refuse a setting that means nothing for a "rigid" or a "flexible" joint, or a "robot".
+
+        Raises:
+            MethodError: such a setting is not at its default.
+        """
+        for one in settings_of(type(self)):
+            systems, default = one.systems, one.default
+            if systems and system not in systems and getattr(self, one.name) != default:
+                meant = " or ".join(CALLED[each] for each in systems)
+                raise MethodError(
+                    f"{type(self).__name__}.{one.name} is for {meant}, and this is {CALLED[system]}; leave it out."
+                )
+
+    def identify(self, task: Task) -> Estimate:
+        """Identify a joint from a record."""
+        ...
+
+    def identify_robot(
+        self, model: Any, logs: Sequence[Sequence[Record]], filtering: Filtering, known: Mapping[str, Parameter],
+        progress: Progress,
+    ) -> Estimate:  # fmt: skip
+        """Identify one of `robots` from the records of its joints, one log or several, with what is known by name."""
+        ...
+
+
+_LOADED: dict[str, type[Method]] = {}
+
+
+def method_of(name: str) -> type[Method]:
+    """Return the class of the method of that name."""
+    if name not in _LOADED:
+        import_module(f"{__name__}.{name}")
+    return _LOADED[name]
+
+
+def default_method(model: object) -> Method:
+    """Return the default method of a model, with its default settings."""
+    return next(one for one in map(method_of, METHODS) if isinstance(model, one.default_for))()

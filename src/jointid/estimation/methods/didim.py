@@ -37,8 +37,8 @@ from jointid.estimation.descent import (
     from_linear_laws,
     search_rigid_joint,
 )
-from jointid.estimation.methods.force_in_loop import widen_for_force
-from jointid.estimation.methods.registry import (
+from jointid.estimation.force_in_loop import widen_for_force
+from jointid.estimation.methods import (
     EVALUATIONS,
     FREQUENCIES,
     MODELS,
@@ -61,9 +61,11 @@ from jointid.estimation.result.estimate import (
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks
 from jointid.estimation.rigid_starts import rigid_starts
+from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.spring_search import rough_rigid_joint, search_flexible_joint
 from jointid.models.controllers import REFERENCE, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop
+from jointid.models.robots.robot import RobotLoop
 from jointid.simulation.plant import DELAY
 from jointid.solvers.solve import refuse_idle
 from jointid.uncertainty.covariance import Influence
@@ -90,8 +92,9 @@ class DIDIM(Method):
 
     name = "didim"
     title = "DIDIM"
-    default_for = ClosedLoop
-    needs_controller = True
+    default_for = ClosedLoop, RobotLoop
+    robots = (RobotLoop,)
+    simulates = "loop"
 
     tolerance: float = setting(
         1e-8, "change of the criterion, and of the parameters, to stop at, as a share", above=0, systems=MODELS
@@ -134,7 +137,7 @@ class DIDIM(Method):
             if loop is not None and solved.problem.loop.controller != loop.controller:  # a free delay stays what it is
                 solved = solved._replace(problem=solved.problem.under(loop.controller))
         problem, x = solved.problem, solved.x
-        error, J = history.count_evaluations(problem).linearise(x)
+        error, J = solved.solution.residual, solved.solution.jacobian
         run, end = problem.simulate(x), (solved.solution.message, solved.solution.converged)
         if task.joint.model == "rigid":
             joint = problem.free_joint
@@ -164,7 +167,7 @@ class DIDIM(Method):
             error.size,
             end,
             history.tally.evaluations,
-            Settings("didim", "DIDIM by least squares", problem.joint, problem.loop_at(x), filtering, delay),
+            Settings(self.name, "DIDIM by least squares", problem.joint, problem.loop_at(x), filtering, delay),
             checks=residual_checks(white, known.repeatable),
             known=identifiability(problem.free, problem.units, x, J, known.covariance),
             warnings=warn_of_limit(run.at_limit),
@@ -174,6 +177,8 @@ class DIDIM(Method):
             shifts=known.shifts,
         )
         return made if spring is None else spring.state(made)
+
+    identify_robot = identify_simulated_robot
 
     def solve(self, task: Task, history: History) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""

@@ -26,7 +26,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import ROUGHLY, History, Solved
-from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
+from jointid.estimation.methods import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.parameters import LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import (
     SAID,
@@ -38,11 +38,12 @@ from jointid.estimation.problems.inverse_model import (
 )
 from jointid.estimation.problems.simulated import ClosedLoopProblem, MotionLog, require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem
+from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
-from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.joints import Joint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
-from jointid.simulation.drive_side import PARTS, DriveSide, prescribe
+from jointid.simulation.drive_side import PARTS, DriveSide, RobotDriveSide, prescribe
 from jointid.simulation.plant import LOAD_STATE
 from jointid.uncertainty.covariance import Influence
 
@@ -99,7 +100,10 @@ class DriveSideFit(Method):
 
     name = "drive_side"
     title = "the drive-side method"
-    default_for = DriveSide
+    default_for = DriveSide, RobotDriveSide
+    robots = (RobotDriveSide,)
+    simulates = "motion"
+    stacks = True
 
     log_delay: float | None = setting(
         None,
@@ -112,6 +116,8 @@ class DriveSideFit(Method):
     frequencies: Mapping[str, float] = field(
         default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
     )
+
+    identify_robot = identify_simulated_robot
 
     def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and motor position, whatever its controller.
@@ -129,7 +135,7 @@ class DriveSideFit(Method):
         delay = log_delay(self.log_delay, torque.sample_time, stated=torque.stated)
         problem = motion_problem(records, setup, task.filtering, task.parameters, delay)
         motions: list[MeasuredMotion] = [_keep_reversals(log).motion for log in problem.logs]
-        if task.joint.model == "flexible":
+        if task.joint.springs:
             found = _search_spring(records, problem, history).solution
         else:
             try:
@@ -159,7 +165,7 @@ class DriveSideFit(Method):
             error.size,
             (found.message, found.converged),
             history.tally.evaluations,
-            Settings("drive_side", "drive-side by least squares", problem.joint, None, problem.filtering, late),
+            Settings(self.name, "drive-side by least squares", problem.joint, None, problem.filtering, late),
             ("torque", "motor_position"),
             warnings=tuple(warnings),
         )
@@ -172,7 +178,6 @@ def _keep_reversals(log: Any) -> Any:
 def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
     """Return the end of the search from a rigid joint below the resonance."""
     joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.parameters[-1]
-    assert isinstance(joint, FlexibleJoint)
     rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))

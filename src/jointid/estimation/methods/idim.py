@@ -1,8 +1,7 @@
 """IDIM: the inverse dynamic model regressed on measured positions, by the estimator of choice.
 
 Torque and columns are those of `problems.inverse_model`, of a joint or of all joints of a robot at once; the estimators
-are those of `problems.regression`. A robot has base parameters and friction. Beside them stand the model's own masses,
-with friction fitted as the estimate's was: an opponent without friction would be none.
+are those of `problems.regression`. A robot has base parameters and friction.
 
 **Instruments** come from the closed loop simulated at the estimate itself [Janot, Vandanjon, Gautier 2014]. The
 simulated motion is driven by the reference and the known signal alone, so noise and disturbances of the record do not
@@ -22,11 +21,12 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.common.text import join, pluralise
-from jointid.estimation.methods.registry import Method, Task
-from jointid.estimation.parameters import RobotParameters, robot_parameters
+from jointid.estimation.methods import Method, Task
+from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.inverse_model import (
     ENCODER_OFFSET,
     POSITIONS,
@@ -37,17 +37,17 @@ from jointid.estimation.problems.inverse_model import (
     inverse_of_robot,
     through_window,
 )
-from jointid.estimation.problems.regression import Estimator, Instruments, Rows, Solution, solve_rows
+from jointid.estimation.problems.regression import Estimator, Instruments, Solution, solve_rows
 from jointid.estimation.problems.simulated import require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, build_rows
 from jointid.estimation.result.verdict import Check, Reason, Subject, check_of
+from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers, rows_of_robot
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, motion_at, run_loop
 from jointid.simulation.start import Initial
 from jointid.solvers.solve import conditioning
@@ -71,7 +71,9 @@ class IDIM(Method):
 
     name = "idim"
     title = "IDIM"
-    default_for = Joint
+    default_for = Joint, Robot
+    robots = Robot, RobotLoop
+    stacks = True
 
     estimator: Estimator | None = setting(
         None,
@@ -119,30 +121,30 @@ class IDIM(Method):
 
     def identify_robot(
         self,
-        declared: Robot,
+        model: Robot | RobotLoop,
         logs: Sequence[Sequence[Record]],
         filtering: Filtering,
         known: Mapping[str, Parameter],
-        loop: RobotLoop | None = None,
+        progress: Progress,
     ) -> Estimate:
         """Identify a robot's base parameters and friction from motor positions and torques of all joints.
 
         Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
 
         Args:
-            declared: its geometry, gravity and coupling are taken as known; its masses are only what is compared with.
+            model: its geometry, gravity and coupling are taken as known; its masses are only what is compared with.
+                With controllers it is what the estimator "iv" simulates.
             logs: of each joint a record, with torque and motor position behind the gear, on one clock.
             filtering: of positions and rows.
             known: values and bounds of friction to keep, by name as "joint1.viscous".
-            loop: the robot under its controllers, which the estimator "iv" simulates.
+            progress: receives nothing.
 
         Raises:
             MethodError: the records do not determine all base parameters; the sentence names those involved. Or "iv"
                 has no loop, or cannot simulate it.
             RecordError: a channel is missing, or the joints' records have not one clock.
         """
-        from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
-
+        declared = model.robot
         declared.require_linear("IDIM of a robot takes", 'identify the robot by "didim"')
         if of_links := [name for name in known if ".link_" in name]:
             raise MethodError(
@@ -155,14 +157,14 @@ class IDIM(Method):
                 f"The robot file has springs at {join(soft)}, and to IDIM every joint is rigid: that holds below a "
                 "fifth of the modes; lower filtering.cutoff to it, or identify by didim or drive_side."
             )
-        loop = None if loop is None else replace(loop, robot=robot)
+        loop = replace(model, robot=robot) if isinstance(model, RobotLoop) else None
         parameters = robot_parameters(robot, whole=False)
 
         def state(solved: Solution) -> dict[str, Any]:
             found = replace(parameters, parameters=solved.fix(parameters.parameters))
-            part, nominal = IdentifiedRobot(loop or robot, found, solved.values), _nominal(robot, found, solved.rows)
-            table = rows_of_robot(part, solved.covariance.std, nominal, solved.held)
-            return {"rows": table, "robot": part, "nominal": solved.rows.relative_errors(nominal)}
+            part = IdentifiedRobot(loop or robot, found, solved.values)
+            nominal = solved.rows.relative_errors(found.group(nominal_numbers(robot, part.numbers())))
+            return {"rows": rows_of_robot(part, solved.covariance.std, solved.held), "robot": part, "nominal": nominal}
 
         inverse = inverse_of_robot(robot, parameters)
         return self._regress(inverse, loop, logs, filtering, known, state, warnings)
@@ -201,21 +203,13 @@ class IDIM(Method):
             end=(f"{end} after {pluralise(solved.turns, 'solution')}", solved.converged),
             simulations=solved.turns if make else 0,
             settings=Settings(
-                "idim", VARIANTS[estimator], inverse.system, None, common, inverse.delay, timing=solved.timing
+                self.name, VARIANTS[estimator], inverse.system, None, common, inverse.delay, timing=solved.timing
             ),
             warnings=(*solved.said, *describe_noise_limit(common, limit, motions[0].sample_time, model), *warnings),
             **state(solved),
             **parts,
         )
         return replace(made, fit=replace(made.fit, conditioning=conditioning(rows.W[:, free], values[free])))
-
-
-def _nominal(robot: Robot, parameters: RobotParameters, rows: Rows) -> FloatArray:
-    """Return the base parameters of the model's own masses, and the friction that fits best beside them."""
-    found, masses = parameters.group(Numbers.of(robot)), parameters.inertial
-    left = rows.Y - rows.W[:, masses] @ found[masses]
-    found[~masses] = np.linalg.lstsq(rows.W[:, ~masses], left, rcond=None)[0]
-    return found
 
 
 def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:

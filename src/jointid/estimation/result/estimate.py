@@ -20,6 +20,7 @@ from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import interval, join, number
+from jointid.estimation.methods import method_of
 from jointid.estimation.result.agreement import Agreement
 from jointid.estimation.result.fields import write
 from jointid.estimation.result.verdict import Answer, Check, StiffnessBound, Subject, answer_of
@@ -206,6 +207,11 @@ class Settings:
     controller: str = ""
 
     @property
+    def simulates(self) -> str:
+        """What the method simulates, see `Method`."""
+        return method_of(self.method).simulates
+
+    @property
     def joint(self) -> Joint:
         """The model of a joint.
 
@@ -335,8 +341,8 @@ class Estimate(Documented):
     @property
     def motion_measured(self) -> bool:
         """True if the measured motion is taken as free of the error: on the drive side, and by IDIM without "iv"."""
-        method = self.settings.method
-        return method == "drive_side" or (method == "idim" and self.fit.simulations == 0)
+        simulates = self.settings.simulates
+        return simulates == "motion" or not (simulates or self.fit.simulations)
 
     @property
     def values(self) -> dict[str, float]:

@@ -12,7 +12,7 @@ the mode is let go and found. A mode is excluded only where what its last linear
 exceeds the noise, so that a fit that ended early makes a bound softer, never stiffer. No record distinguishes a mode
 damped by more than a sixth from a rigid joint: bounds are for modes damped by less.
 
-A random force in the loop (`methods.force_in_loop`) changes the mean torque through the friction. Where that moves a
+A random force in the loop (`force_in_loop`) changes the mean torque through the friction. Where that moves a
 parameter of the rigid joint, its intervals are widened, and each bound is the softer one with and without that change.
 """
 
@@ -31,7 +31,7 @@ from jointid.common.messages import Message, Progress
 from jointid.common.parallel import in_threads
 from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.estimation.descent import descend, with_linear_spring
-from jointid.estimation.methods.force_in_loop import simulate_mean, widen_for_force
+from jointid.estimation.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks

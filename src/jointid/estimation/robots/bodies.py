@@ -26,7 +26,7 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit
-from jointid.estimation.methods.registry import Method
+from jointid.estimation.methods import Method
 from jointid.estimation.parameters import standard_index
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.robots.base_parameters import inverse_columns

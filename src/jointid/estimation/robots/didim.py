@@ -48,8 +48,7 @@ from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.common.text import join, pluralise
 from jointid.estimation.descent import ROUGH, History, Solved, law_starts
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods import Method, default_method
 from jointid.estimation.parameters import (
     DELAYS,
     RobotParameters,
@@ -224,15 +223,16 @@ def search_robot(
     setup: RobotLoop | RobotDriveSide,
     records: Records,
     filtering: Filtering | None = None,
-    settings: DIDIM | DriveSideFit | None = None,
+    settings: Method | None = None,
     *,
     known: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
 ) -> RobotFit:
     """Identify a robot from torques and references, or along the motion of its motors.
 
-    For the arguments see `robots.simulated.identify_simulated_robot`. Of the robot's numbers only the links' places and
-    gravity are read. To show a spring the motion must excite its mode, as a multisine on top of it does.
+    For the arguments see `robots.simulated.identify_simulated_robot`; records are of one log or several. Of the robot's
+    numbers only the links' places and gravity are read. To show a spring the motion must excite its mode, as a
+    multisine on top of it does.
 
     Raises:
         RecordError: a record lacks a channel, or has the wrong clock or unit.
@@ -240,11 +240,9 @@ def search_robot(
             missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
             several logs along a motion begins in motion.
     """
-    along = isinstance(setup, RobotDriveSide)
-    how: Any = settings or (DriveSideFit() if along else DIDIM())
-    return _Search(
-        setup, along, records, filtering, how, dict(known or {}), History(progress, evaluations=how.evaluations)
-    ).search()
+    how: Any = settings or default_method(setup)
+    history = History(progress, evaluations=how.evaluations)
+    return _Search(setup, how.simulates == "motion", records, filtering, how, dict(known or {}), history).search()
 
 
 @dataclass(slots=True)

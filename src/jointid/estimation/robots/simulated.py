@@ -6,15 +6,15 @@ found.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Progress, ignore_progress
+from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.descent import Solved
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods import Method
 from jointid.estimation.parameters import RobotParameters, begin_delays, robot_parameters, with_delays
-from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
+from jointid.estimation.problems.inverse_model import require_one_log
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import (
     Estimate,
@@ -55,7 +55,7 @@ class IdentifiedRobot:
     @property
     def model(self) -> Robot:
         """The nominal robot."""
-        return self.setup if isinstance(self.setup, Robot) else self.setup.robot
+        return self.setup.robot
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -103,21 +103,20 @@ class IdentifiedRobot:
 
 
 def identify_simulated_robot(
+    method: Method,
     model: RobotLoop | RobotDriveSide,
-    records: Records,
-    settings: DIDIM | DriveSideFit | None = None,
-    *,
-    filtering: Filtering | None = None,
-    known: Mapping[str, Parameter] | None = None,
-    progress: Progress = ignore_progress,
+    logs: Sequence[Sequence[Record]],
+    filtering: Filtering,
+    known: Mapping[str, Parameter],
+    progress: Progress,
 ) -> Estimate:
     """Identify a robot by DIDIM, or on the drive side, and state its parameters beside those of `model`.
 
     Args:
+        method: DIDIM or the drive side, with its settings.
         model: the robot under its controllers, or along the motion of its motors, with its nominal numbers.
-        records: of each joint, of one log or of several: with torque and reference, positions are not read; or with
-            torque and motor position behind the gear, references are not read.
-        settings: of the method.
+        logs: of each joint a record: with torque and reference, positions are not read; or with torque and motor
+            position behind the gear, references are not read.
         filtering: that torques, columns and derivatives go through alike, its cut-off above the modes; of measured
             positions the cut-off is five times that.
         known: values and bounds to keep, by name; see `apply_constraints`.
@@ -126,42 +125,34 @@ def identify_simulated_robot(
     Raises:
         RecordError, MethodError: see `search_robot`.
     """
-    fit = search_robot(model, records, filtering, settings, known=known, progress=progress)
-    parameters = fit.parameters
-    method = "drive_side", "drive side of a robot, from motor torques and motor positions"
+    fit, records = search_robot(model, logs, filtering, method, known=known, progress=progress), [*chain(*logs)]
+    parameters, robot, variant = fit.parameters, model.robot, "drive side of a robot, from motor torques and positions"
     if isinstance(model, RobotLoop):
         parameters = begin_delays(parameters, model)
         model = at_estimate(model, parameters, fit.values)
-        computed = any(record.computed for log in each_log(records) for record in log)
-        method = "didim", f"DIDIM of a robot, from {'motor positions' if computed else 'torques'} and references alone"
-    robot, logs = model.robot, each_log(records)
-    problem = pose_robot(model, records, robot_parameters(robot), filtering)
+        read = "motor positions" if any(record.computed for record in records) else "torques"
+        variant = f"DIDIM of a robot, from {read} and references alone"
+    problem = pose_robot(model, logs, robot_parameters(robot), filtering)
     part, fixed = IdentifiedRobot(model, parameters, fit.values), len(fit.values) - len(fit.x)
     numbers = part.numbers()
+    late = numbers.values[0].get(LOG_DELAY)
     steps = f"after {fit.iterations} simulations"
     stop = f"settled {steps}"
     if not fit.converged:
         stop = f"did not settle {steps}: allow more by method.evaluations, or record longer and livelier motions"
     kind = "of springs, rotors and links" if fit.springs else "of rigid joints"
-    nominal, late = parameters.group(Numbers.of(robot)), numbers.values[0].get(LOG_DELAY)
     held = find_active_bounds(parameters.free, fit.values[: len(fit.x)], fit.problem.error(fit.runs), fit.slopes)
     verdicts = {p.name for p, scaled in zip(parameters.parameters, parameters.logarithmic, strict=True) if scaled}
     held = {name: bound for name, bound in held.items() if name not in verdicts}
     hidden, std = [one for one in fit.springs if not one.shown], fit.covariance.append_constants(fixed).std
     result = build_estimate(
-        [record for log in logs for record in log],
-        rows_of_robot(part, std, nominal, held, hidden),
-        fit.covariance.correlation,
-        (problem.measured, problem.predict(fit.runs)),
-        fit.relative_error,
-        problem.filtered_torque.size,
-        (stop, fit.converged),
-        fit.iterations,
-        Settings(method[0], f"{method[1]}, {kind}", robot, None, problem.filtering, log_delay=late),
-        robot=part,
-        nominal=problem.left_by(nominal_numbers(robot, numbers)),
+        records, rows_of_robot(part, std, held, hidden), fit.covariance.correlation,
+        (problem.measured, problem.predict(fit.runs)), fit.relative_error, problem.filtered_torque.size,
+        (stop, fit.converged), fit.iterations,
+        Settings(method.name, f"{variant}, {kind}", robot, None, problem.filtering, log_delay=late),
+        robot=part, nominal=problem.left_by(nominal_numbers(robot, numbers)),
         warnings=(_WITHOUT,) if fit.springs and len(hidden) == len(fit.springs) else (),
-    )
+    )  # fmt: skip
     if len(logs) > 1:
         return result
     return replace(result, solved=replace(fit, problem=replace(problem, parameters=parameters)))
@@ -176,17 +167,17 @@ def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray
 def rows_of_robot(
     part: IdentifiedRobot,
     std: FloatArray,
-    nominal: FloatArray,
     held: Mapping[str, float],
     hidden: Sequence[SpringVerdict] = (),
 ) -> tuple[EstimatedParameter, ...]:
     """Return the rows of the parameters; of a spring that is hidden, a bound at most.
 
-    Standard deviations and nominal values are (parameters,) each; `held` has the bounds of those at one, by name.
+    Standard deviations are (parameters,); `held` has the bounds of those at one, by name. Nominal values are declared.
     """
     refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
     refused |= {f"{one.joint}.damping": None for one in hidden}
     robot, parameters, rows = part.model, part.parameters, list[EstimatedParameter]()
+    nominal = parameters.group(Numbers.of(robot))
     described = zip(parameters.parameters, parameters.places, parameters.units(robot), strict=True)
     found = zip(part.values, std, parameters.formulas(robot), nominal.tolist(), strict=True)
     for (p, place, unit), (value, spread, formula, given) in zip(described, found, strict=True):

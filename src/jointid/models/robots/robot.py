@@ -195,7 +195,7 @@ class RobotJoint:
     @property
     def rigid(self) -> RobotJoint:
         """The joint whose spring does not give: what the link's side takes is added to the motor's."""
-        if self.spring is None or not isinstance(self.model, FlexibleJoint):
+        if self.spring is None:
             return self
         whole, behind = self.model.rigid, self.spring
         beside = {name.removeprefix("motor_").removeprefix("load_") for name in self.numbers}
@@ -281,6 +281,11 @@ class Robot:
 
     def __len__(self) -> int:
         return len(self.links)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot itself, as a robot under its controllers has one."""
+        return self
 
     @property
     def names(self) -> tuple[str, ...]:

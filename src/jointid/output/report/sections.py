@@ -241,9 +241,8 @@ def draw_figures(given: Report) -> dict[str, Figure]:
 
 
 def _picture(given: Report, figures: Mapping[str, Figure], name: str) -> Picture:
-    motion = "simulated" if given.estimate.settings.method == "didim" else "measured"
-    words = _PICTURES[name][1].format(motion=motion)
-    return Picture(f"{name}.svg", partial(svg, figures[name], name), words)
+    motion = "simulated" if given.estimate.settings.simulates == "loop" else "measured"
+    return Picture(f"{name}.svg", partial(svg, figures[name], name), _PICTURES[name][1].format(motion=motion))
 
 
 def _result(given: Report) -> Iterator[Block]:
