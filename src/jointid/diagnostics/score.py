@@ -50,7 +50,7 @@ from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Influence, smoothed_spectrum
 from jointid.uncertainty.model_tests import Filter, fit_whitener, whiteness
-from jointid.uncertainty.position_dependent_error import Cells, repeatable, uncertainty
+from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
 LEVEL = 0.02
 """Largest share of records without a fault in which one is found."""
@@ -277,9 +277,11 @@ class SolvedLoop:
         A force colours the residual by the answer of the loop. The spectrum of white noise alone has a part that looks
         so.
         """
-        if self._is_white:
+        problem, x, cutoff = self.problem, self.x, self.problem.filtering.cutoff
+        step = problem.sample_time * (problem.filtering.decimation or 1)
+        white = whiteness(self.residual, step, cutoff) if cutoff else None
+        if white is not None and white.white:
             return []
-        problem, x = self.problem, self.x
         run = problem.simulate(x)
         force = find_force(problem, x, run, problem.measured - run.torque)
         if force is None:
@@ -326,18 +328,6 @@ class SolvedLoop:
     def tests(self) -> tuple[FaultTest, ...]:
         """Tests of the faults, the likeliest first, without those that the motor position excludes."""
         return tuple(one for one in self._all_tests if one not in self.excluded)
-
-    @cached_property
-    def _is_white(self) -> bool:
-        filtering = self.problem.filtering
-        step = self.problem.sample_time * (filtering.decimation or 1)
-        white = whiteness(self.residual, step, filtering.cutoff) if filtering.cutoff else None
-        return white is not None and white.white
-
-    @property
-    def follows_motion(self) -> bool:
-        """Whether the residual is not white, and repeats with the motion: it is not that of a right model."""
-        return not self._is_white and repeatable(self.residual, self._where).significant
 
     def test_law(self, fault: Fault, moved: FloatArray) -> FaultTest:
         """Return the test of another law, which moves the torque by `moved`, (rows,), beside the faults."""

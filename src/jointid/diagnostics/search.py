@@ -1,7 +1,7 @@
 """Search for the faults of a solved joint or robot: test each alone, take the likeliest, correct it, and test again.
 
 Those that are nearly as likely by the likelihood ratio are named beside the first. Where the likeliest is impossible,
-or the residual still repeats with the motion when all are corrected, something else is wrong.
+something else is wrong.
 
 A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
 law makes the logged torque of a logged motor position, faults of law and log that it excludes are not named.
@@ -129,7 +129,6 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
         findings, suspected, found = [], [], initial
     joint, left = problem.loop.joint, found.residual
     vague |= len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings)
-    vague |= bool(findings) and found.follows_motion
     explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)

@@ -1,6 +1,6 @@
 """The identification methods, and what each says of itself.
 
-A method is a file of this folder with a frozen dataclass of its settings that is a `Method` and is called as the file.
+A method is a file of this folder with a frozen dataclass of its settings, a `Method` whose name is that of the file.
 All that knows methods asks here: identification, the joint file with its checks, the command line, the comparison.
 """
 

@@ -116,8 +116,8 @@ class Fit:
         conditioning: of the regressor, for a linear regression.
         passes: over the whole of a long log.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
-        nominal_errors: the same of the nominal robot, with friction as identified or fitted beside it; infinite where
-            it cannot be simulated.
+        nominal_errors: the same of the nominal robot, with the friction of the estimate; infinite where it cannot be
+            simulated.
     """
 
     measured: FloatArray
