@@ -16,7 +16,7 @@ import math
 from typing import Any, TypeAlias
 
 import numpy as np
-from numba import extending, types
+from numba import config, extending, types
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
@@ -356,7 +356,7 @@ def _prefer_wide_vectors(_: Any) -> tuple[Any, Any]:
     return types.void(), lower
 
 
-wide_vectors: Any = extending.intrinsic(_prefer_wide_vectors)
+wide_vectors: Any = (lambda: None) if config.DISABLE_JIT else extending.intrinsic(_prefer_wide_vectors)  # type: ignore
 """Let a function use whole vectors, as those it inlines must ask, too: of 512 bits LLVM by itself takes halves."""
 
 
