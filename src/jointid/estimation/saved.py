@@ -17,7 +17,7 @@ from jointid.estimation.methods import METHODS, method_of
 from jointid.estimation.parameters import LOG_DELAY, add_delays, apply_constraints, log_delay, robot_parameters
 from jointid.estimation.problems.inverse_model import ENCODER_OFFSET
 from jointid.estimation.problems.simulated import of_record
-from jointid.estimation.result.agreement import Agreement
+from jointid.estimation.result.agreement import Agreement, Alone
 from jointid.estimation.result.estimate import Data, Estimate, EstimatedParameter, Fit, Settings
 from jointid.estimation.result.fields import finite, read
 from jointid.estimation.result.verdict import Check, StiffnessBound, judged
@@ -28,6 +28,7 @@ from jointid.models.robots.base_parameters import name_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.plant import DELAY
+from jointid.uncertainty.covariance import covariance_of
 from jointid.uncertainty.identifiability import Identifiability
 
 RobotSystem = Robot | RobotLoop | RobotDriveSide
@@ -78,12 +79,18 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
         read(Data, answer["data"]),
         read(Settings, settings, system=robot or system, loop=law, controller=str(answer["controller_sha256"])),
         read(tuple[Check, ...], answer["checks"]), read(Identifiability | None, answer.get("known")),
-        read(tuple[StiffnessBound, ...], answer["bounds"]), read(Agreement | None, answer.get("agreement")),
+        read(tuple[StiffnessBound, ...], answer["bounds"]), _read_agreement(answer.get("agreement")),
         robot=part, **said,
     )  # fmt: skip
     found = judged(found)
     found.summary(details=True)  # what cannot be described is damaged
     return found
+
+
+def _read_agreement(stated: Any) -> Agreement | None:
+    parts = [(one, np.square([*one["std"].values()])) for one in ([] if stated is None else stated["parts"])]
+    alone = tuple(read(Alone, one, covariance=covariance_of(np.diag(squares))) for one, squares in parts)
+    return None if stated is None else read(Agreement, stated, parts=alone)  # without correlations
 
 
 def _share(value: object) -> float:

@@ -120,13 +120,9 @@ class IDIM(Method):
         return self._regress(inverse, loop, logs, task.filtering, known, state, channels=read)
 
     def identify_robot(
-        self,
-        model: Robot | RobotLoop,
-        logs: Sequence[Sequence[Record]],
-        filtering: Filtering,
-        known: Mapping[str, Parameter],
-        progress: Progress,
-    ) -> Estimate:
+        self, model: Robot | RobotLoop, logs: Sequence[Sequence[Record]], filtering: Filtering,
+        known: Mapping[str, Parameter], progress: Progress,
+    ) -> Estimate:  # fmt: skip
         """Identify a robot's base parameters and friction from motor positions and torques of all joints.
 
         Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.

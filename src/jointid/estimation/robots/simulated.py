@@ -103,13 +103,9 @@ class IdentifiedRobot:
 
 
 def identify_simulated_robot(
-    method: Method,
-    model: RobotLoop | RobotDriveSide,
-    logs: Sequence[Sequence[Record]],
-    filtering: Filtering,
-    known: Mapping[str, Parameter],
-    progress: Progress,
-) -> Estimate:
+    method: Method, model: RobotLoop | RobotDriveSide, logs: Sequence[Sequence[Record]], filtering: Filtering,
+    known: Mapping[str, Parameter], progress: Progress,
+) -> Estimate:  # fmt: skip
     """Identify a robot by DIDIM, or on the drive side, and state its parameters beside those of `model`.
 
     Args:
