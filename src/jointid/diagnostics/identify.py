@@ -147,7 +147,7 @@ def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_pro
     part, settings, x = estimate.robot, estimate.settings, estimate.x
     estimate = replace(estimate, checks=tuple(one for one in estimate.checks if one.words != UNCHECKED))
     if part is not None:
-        solved = None if settings.method == "idim" else solve_again(part, record, settings.filtering)
+        solved = solve_again(part, record, settings.filtering) if settings.simulates else None
         fit = replace(estimate, records=tuple(record), solved=solved)
     else:
         found = {} if x is None else dict(zip(estimate.free, x.tolist(), strict=True))

@@ -364,7 +364,7 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
         return None
     logged, made, see = followed
     assert record.torque is not None
-    columns, inside = np.column_stack([made, np.ones(logged.size)]), _compared(record, logged.size)
+    columns, inside = np.column_stack([made, np.ones(logged.size)]), _select_rows(record, logged.size)
 
     def at(late: float) -> tuple[float, FloatArray]:
         """Return the residual of the torque, and the weights, with the law so many samples later."""
@@ -403,7 +403,7 @@ def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: flo
     (logged, made, _), at = own, np.arange(min(len(own[1]), len(other[1])))
     later = (1.0 + gain) * np.interp(at - late / record.torque.sample_time, at, other[1][: at.size, 0])
     columns = np.column_stack([later - made[: at.size, 0], made[: at.size, 1:], np.ones(at.size)])
-    inside = _compared(record, at.size)
+    inside = _select_rows(record, at.size)
     left, columns = (logged - made[:, 0])[inside], columns[inside]
     sizes = column_norms(columns)
     if np.ptp(columns[:, 0]) == 0.0:
@@ -413,8 +413,8 @@ def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: flo
     return bool(abs(weights[0]) + _SURELY * std[0] < _A_QUARTER * sizes[0])
 
 
-def _compared(record: Record, samples: int, border: int = _BORDER) -> NDArray[np.intp]:
-    """Return the samples of the torque that count, but for those at the ends, (samples,)."""
+def _select_rows(record: Record, samples: int, border: int = _BORDER) -> NDArray[np.intp]:
+    """Return the indices of the torque samples that count, without the ends."""
     assert record.torque is not None
     found = np.flatnonzero(record.counts(samples, record.torque.sample_time))
     return found[(found >= border) & (found < samples - border)]
@@ -453,7 +453,7 @@ def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArr
     more = [seen[name] for name in ("reference_velocity", "injected") if name in seen]
     total, *signals = see(np.column_stack([np.cumsum(r - q), r - q, np.gradient(q), *more])).T
     late = (toeplitz(one, np.full(_LAGS, one[0])) for one in signals)
-    inside = _compared(record, r.size, 0)
+    inside = _select_rows(record, r.size, 0)
     return _regress(logged[inside], np.column_stack([total, np.ones(r.size), *late])[inside])[0]
 
 

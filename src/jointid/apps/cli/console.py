@@ -195,9 +195,9 @@ class Options:
         checks: bool = True,
         first: Callable[[Estimate], object] = lambda _: None,
     ) -> Estimate:
-        """Return the estimate of a record, of all that are named where it is None: kept from an earlier call, or found.
+        """Return the kept estimate of a record, or identify it and keep the estimate.
 
-        It is kept beside the file. `first` receives it before its checks, where these are still to be made.
+        Without a record it is of all that are named. `first` receives the estimate before its checks are made.
         """
         from jointid.diagnostics.identify import UNCHECKED, check_later
         from jointid.estimation.identify import windows_of
@@ -234,7 +234,7 @@ DEFAULTS = Options()
 
 
 def place_of(file: File) -> Path:
-    """Return where the estimate of a joint file or a robot file is kept, beside it."""
+    """Return the path of the kept estimate, beside the joint file or robot file."""
     return file.path.with_suffix(".estimate.json")
 
 
@@ -346,7 +346,7 @@ def clear_bars() -> None:
 
 
 def deliver(result: Documented, json: Path | None = None, **printed: Any) -> None:
-    """Print a result as `show_result` does, and write it as JSON where that is requested."""
+    """Print a result by `show_result`, and write it as JSON if requested."""
     from jointid.output import json as answers
 
     show_result(result, **printed)

@@ -208,7 +208,7 @@ class Settings:
 
     @property
     def simulates(self) -> str:
-        """What the method simulates, see `Method`."""
+        """The `Method.simulates` of the method."""
         return method_of(self.method).simulates
 
     @property
