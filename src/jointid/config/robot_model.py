@@ -245,7 +245,7 @@ def _is_possible(inertial: ET.Element) -> bool:
 
 
 def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> None:
-    """Refuse moving joints that are tied or have a spring, and locked joints that do not exist.
+    """Refuse coupled or sprung moving joints, and unknown locked joints.
 
     Args:
         root: of the file.

@@ -323,7 +323,7 @@ def _require_explained(log: LoopRecord, best: FittedLaw, known: Covariance, resi
 
 
 def _find_better_regression(log: LoopRecord, residual: FloatArray) -> float | None:
-    """Share of the torque that a plain regression leaves, if that is so much less as to exclude the law."""
+    """Residual share of a linear regression, if small enough to exclude the law; otherwise None."""
     both = np.fft.rfft(np.column_stack([residual, log.unexplained]) * log.free[:, np.newaxis], axis=0)
     heard = np.fft.irfft(both * (log.informative > 0)[:, np.newaxis], log.samples, axis=0)
     law, regression = np.sqrt(np.mean(heard**2, axis=0) / np.mean((log.torque * log.free) ** 2))

@@ -167,7 +167,7 @@ def _sort(laws: Mapping[Structure, FittedLaw], noise: Noise) -> list[FittedLaw]:
 
 
 def _compare(fitter: Fitter, best: FittedLaw, laws: Mapping[Structure, FittedLaw]) -> list[Rival]:
-    """Compare laws with the best, without those that are the same with parts that do nothing."""
+    """Compare laws with the best one, without equivalents that only add inactive parts."""
     own, size, shown = best.score(best.noise), float(np.mean(fitter.log.torque**2)), fitter.predict(best)
 
     def apart(one: FittedLaw) -> float:

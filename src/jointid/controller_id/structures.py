@@ -108,7 +108,7 @@ class Structure:
 
     @property
     def _choices(self) -> list[int]:
-        """How many there are of each clock that is not that of a plain law."""
+        """Number of alternatives of each clock that differs from a plain law's."""
         clocks = (
             (len(RATES) * len(INTERPOLATIONS), self.rate > 1),
             (len(AVERAGED), self.average > 0),

@@ -115,7 +115,7 @@ class AxisTorques:
 
 
 def is_noise(left: float, white: Whiteness | None) -> bool:
-    """Test whether what is left, a share of a torque, is small, or nothing but noise as far as is seen."""
+    """Test whether the residual share of a torque is small, or not significantly coloured."""
     return left < _LEFT or white is None or white.white or white.p_value > _SURE
 
 

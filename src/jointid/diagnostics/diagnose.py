@@ -53,7 +53,7 @@ def diagnose(
     search: Callable[..., Estimate] = identify,
     progress: Progress = ignore_progress,
 ) -> Diagnosis:
-    """Find what is wrong with a record, and with the loop, the log and the joint that are identified from it.
+    """Find faults of a record, its clock, the loop, the log and the joint.
 
     Clock, torque, motion and controller of the record are examined. Then of each axis the residual is tested for
     whiteness and for what it correlates with, and each possible fault of loop, log and mechanics by its effect on the

@@ -47,7 +47,7 @@ _VAGUE = (Agreement.DIFFERS, JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
 
 @dataclass(frozen=True, slots=True)
 class Symptom:
-    """One thing that is wrong with a record or its estimate, or cannot be told.
+    """A fault or an open question of a record or its estimate.
 
     Attributes:
         code: of it; a cause that was found has its own.

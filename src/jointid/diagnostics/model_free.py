@@ -1,4 +1,4 @@
-"""What a record shows without a model of its joint.
+"""Tests of a record without a model of its joint.
 
 The samples show too little motion, missing samples, a drive that is off. A record that is too short, or moves in one
 direction only, fits many drives: Coulomb friction and offset are one number then.
@@ -75,7 +75,7 @@ def find_plain_cause(record: Record) -> Message | None:
 
 
 def find_broken_part(record: Record) -> Message | None:
-    """Return the message of a record whose motion is none of the joint's, all of it or a part; None without one."""
+    """Find a record, or a part of it, in which the drive does not move the joint; None without one."""
     return find_lost_samples(record) or find_parts_off(record) or find_new_zero(record) or find_standstill(record)
 
 
@@ -223,7 +223,7 @@ def find_parts_off(record: Record) -> Message | None:
 
 
 def _pulls(torque: FloatArray, way: FloatArray, acceleration: FloatArray, least: float) -> bool:
-    """Test whether a torque past a place has a part, above the least and the friction, that neither way makes."""
+    """Test for a torque that exceeds friction and does not depend on the direction of motion."""
     known = acceleration.size and np.std(acceleration) > _VARIES * np.sqrt(np.mean(acceleration**2))
     if not known or min(np.sum(way > 0.0), np.sum(way < 0.0)) < _MEAN:
         return False  # at an end of the travel the inertia looks like a load

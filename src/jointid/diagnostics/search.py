@@ -278,7 +278,7 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
 
 
 def test_laws(found: SolvedLoop) -> list[LawTest]:
-    """Return the tests of other laws that are not named already, and that nothing excludes."""
+    """Test alternative laws that are neither named yet nor excluded."""
     tests: list[LawTest] = []
     problem, x, record = found.problem, found.x, found.record
     if record is None:
@@ -333,7 +333,7 @@ def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] =
 
 
 def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]:
-    """Return the law that the record does not exclude and that shifts a parameter farthest; none within an interval.
+    """Return the admissible law with the largest shift of a parameter; none within an interval.
 
     Of rates it is one that no other excludes. The shift of stiffness or inertia counts first.
     """

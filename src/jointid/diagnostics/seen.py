@@ -78,7 +78,7 @@ class Seen:
 
     @property
     def has_linear_friction(self) -> bool:
-        """Test for an axis whose friction consists of straight lines, or that has no loop."""
+        """Test for piecewise linear friction, or an axis without a loop."""
         return self.loop is None or self.loop[0].joint.friction.linear
 
     @property
@@ -88,7 +88,7 @@ class Seen:
 
     @property
     def is_plain(self) -> bool:
-        """Test whether it is a flexible joint of symmetric friction, in whose place there may be another."""
+        """Test for a flexible joint of symmetric friction, which other laws may replace."""
         return self.loop is not None and self.is_flexible and self.loop[0].joint.friction == Friction()
 
     def vary(self, values: Mapping[str, float], size: float, **laws: Spring | Friction) -> FloatArray | None:

@@ -290,7 +290,7 @@ class AxisFaults:
         return Message(test.fault.reason, words, values, clause)
 
     def _state(self, finding: Finding) -> str:
-        """Return the clause that states a fault with its size and interval, or the laws that the drive may run."""
+        """State a fault with its size and interval, or the possible laws of the drive."""
         test, fault, measure = finding.test, finding.test.fault, finding.test.fault.measure
         if finding.law is not None:
             laws = [f"{one.words}: declare {one.remedy}" for one in (finding.law, *finding.alike)]
@@ -445,7 +445,7 @@ def _along_travel(seen: Seen) -> Columns:
 
 
 def _winds_up(seen: Seen) -> Columns:
-    """Yield a flexible joint's Coulomb friction as it winds up over some distances, less that which does not."""
+    """Yield presliding minus ideal Coulomb friction of a flexible joint, over several distances."""
     if not seen.is_flexible or not seen.has_linear_friction:
         return
     still, moves = np.sign(seen.velocity), np.diff(seen.position, prepend=seen.position[0])

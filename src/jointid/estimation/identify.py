@@ -45,7 +45,7 @@ _ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
 
 
 def is_long(record: Record) -> bool:
-    """Test whether a record whose channels have one clock has more than `LARGEST` samples."""
+    """Test for a record of one clock with more than `LARGEST` samples."""
     clocks = {(len(channel), round(channel.sample_time, 12)) for _, channel in record.items()}
     return len(clocks) == 1 and min(clocks)[0] > LARGEST
 
@@ -319,7 +319,7 @@ def state_scale(fit: Estimate, records: Sequence[Record]) -> Estimate:
 
 
 def state_timing(fit: Estimate, records: Sequence[Record]) -> Estimate:
-    """Return a fit of the drive side whose log's delay covers half a sample, where no timing is stated; or as it is.
+    """Widen the drive side's delay by half a sample where no timing is stated.
 
     Another reading of the torque, held or sampled, changes that delay by half a sample and nothing else. To DIDIM both
     are one: a controller's output is the same at its stamp and until its next period.

@@ -275,7 +275,7 @@ def share_parameters(problems: Sequence[ClosedLoopProblem], layout: Layout, know
 
 
 def _scale(problem: ClosedLoopProblem, gain: float) -> FloatArray:
-    """Return the gain for parameters of the joint, which come first, and 1 for what surrounds it, (free,)."""
+    """Return the gain for the joint's parameters, which come first, and 1 for all others, (free,)."""
     return np.where(np.arange(len(problem.free)) < len(problem.free_joint), gain, 1.0)
 
 
@@ -418,7 +418,7 @@ def _judge(
 
 
 def _compute_shift(together: Records, influence: Influence, fits: Sequence[Estimate], gain: float) -> FloatArray:
-    """Return by how much the common solution moves, (free,), where what is no noise moves those of the records."""
+    """Propagate the systematic shifts of the records' solutions to the common one, (free,)."""
     moved, first = np.zeros(len(together.free)), 0
     for problem, among, fit in zip(together.problems, together.maps, fits, strict=True):
         rows = slice(first, first := first + problem.log.kept.size)
@@ -489,7 +489,7 @@ def travel(record: Record) -> float:
 
 
 def moves(record: Record) -> bool:
-    """Test whether a window has a motion or something injected, and no brake that holds the joint at a torque of 0."""
+    """Test for a window with motion or an injected signal, and a torque that is not 0 throughout."""
     braked = record.torque is not None and not np.any(record.torque.values)
     return not braked and (travel(record) > 0 or record.injected is not None)
 

@@ -130,7 +130,7 @@ def _regress(
 
 
 def _turn_round(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
-    """Return the torque that acted, (samples,), and the motor position that the controller must have seen."""
+    """Return the applied torque, (samples,), and the motor position that the controller read."""
     command, axis = command_of(problem), problem.axis
     return command + axis.after_limit[:: axis.clock.skips][: command.size], reconstructed_position(problem)
 

@@ -124,7 +124,7 @@ class _JointBase:
 
     @property
     def forces(self) -> list[tuple[int, Gravity | PositionHarmonics]]:
-        """Forces that follow a position, each with the side on which it acts: 0, the motor's, or -1."""
+        """Position-dependent forces, each with its side: 0, the motor side, or -1."""
         found: list[tuple[int, Gravity | PositionHarmonics]] = [] if self.gravity is None else [(-1, self.gravity)]
         return found if self.ripple is None else [*found, (-1 if self.ripple.side == "load" else 0, self.ripple)]
 

@@ -1,4 +1,4 @@
-"""The least deviation of a goal that any test of a flexible joint has, and where its torque acts.
+"""Lower bound of a goal's deviation over all tests of a flexible joint, and the spectrum that attains it.
 
 A sliding flexible joint is linear, so information adds up over frequencies. With P the response of the motor's position
 to the force on it, H the controller's torque per position, S = 1 / (1 + P H exp(-s d)) and F the force, the torque's

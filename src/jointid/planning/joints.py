@@ -223,7 +223,7 @@ def joint_model(
     injection: bool,
     seed: int,
 ) -> JointModel:
-    """Return what is known of a joint, for tests of so many samples and their time; see `jointid.design`."""
+    """Model a joint for the design of tests of this length; see `jointid.design`."""
     covariance, loop = None, model if isinstance(model, ClosedLoop) else model.settings.loop
     if isinstance(model, Estimate) and loop is not None and present:
         covariance = model.covariance_of([p.name for p in model.rows if p.free and p.of_joint]).matrix

@@ -117,12 +117,12 @@ class Family:
 
     @property
     def words(self) -> tuple[str, str]:
-        """What the joint does, and what is added to the torque."""
+        """Motion of the joint, and excitation added to the torque."""
         return self.motion, self.added
 
     @property
     def size(self) -> int:
-        """How many numbers say one of its tests."""
+        """Number of search variables of a test."""
         return _MOTIONS[self.motion][0] + _ADDED[self.added][0]
 
     def play(self, numbers: Numbers, time: FloatArray) -> tuple[FloatArray, ...]:
@@ -159,7 +159,7 @@ class Series:
 
     @property
     def words(self) -> tuple[str, str]:
-        """What the joints do, and what is added where they have modes."""
+        """Motion of the joints, and the excitation of their modes."""
         return f"a Fourier series of {self.harmonics} harmonics of every joint", "multisines about the modes"
 
     @property

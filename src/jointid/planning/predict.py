@@ -1,4 +1,4 @@
-"""Predicted intervals of a test, the noise that makes them, what a test reaches, and its goal."""
+"""Predicted intervals of a test, their noise, the peak loads of the test, and its goal."""
 
 from __future__ import annotations
 

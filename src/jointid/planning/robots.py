@@ -1,4 +1,4 @@
-"""What is known of a robot for the design of its test: its numbers, others that it may have, and the noise.
+"""Model of a robot for the design of its test: parameters, alternatives within tolerance, and noise.
 
 Of a motion q the columns W(q) of base parameters and friction say what a test will tell: with white noise of deviation
 s_k on the log of joint k's torque the errors of all parameters have the covariance of::
@@ -263,7 +263,7 @@ def robot_model(
     feed_forward: FeedForward,
     seed: int,
 ) -> RobotModel:
-    """Return what is known of a robot, for tests of so many samples and their time; see `jointid.design`."""
+    """Model a robot for the design of tests of this length; see `jointid.design`."""
     present: tuple[Record, ...] = ()
     if isinstance(model, Estimate):
         part = model.require_robot()
@@ -368,7 +368,7 @@ def _identified_robot(estimate: Estimate, loop: RobotLoop | None) -> Robot:
 
 
 def _draw_robots(robot: Robot, within: float, count: int, seed: int) -> tuple[Robot, ...]:
-    """Return robots whose numbers are each off by a factor of its own, 2 sigma of which are `within` percent."""
+    """Draw robots whose parameters deviate independently, with 2 sigma of `within` percent."""
     rng, numbers = np.random.default_rng([seed, 1]), Numbers.of(robot)
 
     def factors(*shape: int) -> FloatArray:

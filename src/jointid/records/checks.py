@@ -219,7 +219,7 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
 
 
 def find_encoder_lag(record: Record) -> tuple[str, float] | None:
-    """Return the late encoder and its lag [s] where that hides the spring: it explains nearly all of the difference."""
+    """Return the late encoder and its lag [s] where the lag hides the deflection of the spring."""
     motor, load = record.motor_position, record.load_position
     if motor is None or load is None or len(motor) < _FEWEST_SAMPLES:
         return None

@@ -232,7 +232,7 @@ class Record:
         return min(channel.duration for _, channel in self.items())
 
     def counts(self, samples: int, period: float) -> FloatArray:
-        """Return 1 for each of so many samples that counts, and 0 for those that are left out, (samples,)."""
+        """Return weights of 1, or 0 for samples that are left out, (samples,)."""
         at = self.on_clock(instants(samples, period))
         return np.ones(samples) - sum((at >= begin) & (at < end) for begin, end in self.left_out)
 

@@ -186,7 +186,7 @@ class AxisInput:
 
     @property
     def by_motion(self) -> FloatArray:
-        """What the law puts out at the first period by a motor position and velocity of 1 there, (2,)."""
+        """Output of the law at the first period per unit of initial motor position and velocity, (2,)."""
         law = self.feedback
         return np.asarray(law.C[0, law.output] @ self.memory + np.array([law.D[0, law.output, POSITION], 0.0]))
 
@@ -289,7 +289,7 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
 def along(
     law: SampledLaw, inputs: FloatArray, position: FloatArray, speed: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a law's inputs with a motor position, (periods,), and its states there, where that begins at a speed."""
+    """Return a law's inputs with a motor position, (periods,), and its states for an initial speed."""
     inputs = inputs.copy()
     inputs[:, POSITION] = position
     return inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed)

@@ -234,7 +234,7 @@ def integrate(
 
 
 def pass_on(torques: FloatArray, step: float) -> SampledLoop:
-    """Return torques, (joints, parts), that each act in one part of `step` seconds, as laws that pass them on."""
+    """Wrap given torques, (joints, parts), as laws with a period of `step` seconds."""
     joints, parts = torques.shape
     none, zero = np.zeros((joints, 1, 0)), np.zeros((joints, 1, 1))
     lags, first = np.zeros((joints, 1), dtype=np.int64), np.zeros(joints, dtype=np.int64)

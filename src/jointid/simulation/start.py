@@ -197,7 +197,7 @@ class Steady:
         return moved[n:-n], moved[-n:]
 
     def _moved(self, key: Place) -> tuple[Steady, Steady, float] | None:
-        """Return what is in balance with less and more of a number, and the difference; None if nothing moves."""
+        """Perturb a parameter down and up; return both equilibria and the difference, None without an effect."""
         if key.name == INITIAL[1]:  # at rest the drag of steady motion jumps
             low, high = (replace(self, speeds=self.speeds * factor) for factor in (1.0 - _SMALL, 1.0 + _SMALL))
             return (low, high, float(2.0 * _SMALL * self.speeds[key.axis])) if self.speeds[key.axis] else None

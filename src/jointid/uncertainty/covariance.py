@@ -144,7 +144,7 @@ def larger(first: Covariance, second: Covariance) -> Covariance:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """Equations ``Z' e = 0`` that an estimate solves, and the covariances that its residual gives (see the module).
+    """Equations ``Z' e = 0`` of an estimate, and its covariances from their residual.
 
     Attributes:
         J: (rows, parameters), the sensitivities of the prediction, or of the residual with Z of the same sign.

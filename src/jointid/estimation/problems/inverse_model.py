@@ -194,7 +194,7 @@ class Inverse:
         return measure_motion(self.system, records, filtering, delay=self.delay)
 
     def turn(self, motion: MeasuredMotion) -> MeasuredMotion:
-        """Return the motion of what the columns are of, a robot's joints, from that of the motors."""
+        """Convert the motors' motion to a robot's joints, to which the columns belong."""
         return turn(self.system, motion) if isinstance(self.system, Robot) else motion
 
     def measure_logs(self, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:

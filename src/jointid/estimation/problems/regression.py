@@ -226,7 +226,7 @@ def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
 
 
 def _read_timing(held: Solution, sampled: Solution) -> Solution:
-    """Return the solution whose reading of the torque the record shows, widened by what it leaves open."""
+    """Choose between the held and the sampled torque, and widen the solution by the remaining doubt."""
     each = np.array([held.residual, sampled.residual]).reshape(2, held.rows.driven, -1)
     power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1
     each /= np.sqrt(np.maximum(power, _LEAST * np.mean(held.rows.Y**2)))[:, np.newaxis]

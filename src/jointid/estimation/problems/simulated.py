@@ -104,7 +104,7 @@ def outcome_of(runs: Runs) -> Outcome:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopLog:
-    """A log whose motors are moved by their controllers, which follow its references.
+    """A log of motors under their controllers, which follow its references.
 
     Attributes:
         measured: (samples, n) torques.

@@ -129,7 +129,7 @@ class Agreement:
         return tuple(p.name for p in self.parameters if p.differs)
 
     def widen(self, covariance: Covariance, names: Sequence[str]) -> Covariance:
-        """Add the variance between records, which is no noise of theirs, to that of these parameters."""
+        """Add the variance between records, beyond their noise, to these parameters."""
         more = {p.name: p.widening for p in self.parameters}
         return covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in names]))
 

@@ -230,7 +230,7 @@ class Walk:
         return start
 
     def pick(self, places: Iterable[Place]) -> struct.Struct:
-        """Return what reads these places, in the order of their bytes."""
+        """Build the structure that reads these places, in byte order."""
         text, at = self.order, 0
         for start, code in places:
             text += f"{start - at}x{code}"

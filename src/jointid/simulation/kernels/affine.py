@@ -156,7 +156,7 @@ def enter_mode(
     loose: float, lengths: FloatArray, filled: NDArray[np.bool_], rates: FloatArray, moves: FloatArray,
     bends: FloatArray,
 ) -> int:  # fmt: skip
-    """Return the number of the mode of two masses, and fill what is read of it when it is met.
+    """Return the index of the mode of two masses, and compute its maps at its first use.
 
     There are 9 for each band of the motor, those for each of the load, and all for each piece, negative ones first. A
     mass that no friction holds moves on as it does, at rest `loose`. Filled are `rates`, (modes, 2, INPUTS),

@@ -79,7 +79,7 @@ def accelerate(
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
     grip: FloatArray, pull: FloatArray,
 ) -> bool:  # fmt: skip
-    """Fill the accelerations, what friction holds in masses at rest, and the most that it can; False if M is no mass.
+    """Compute accelerations, and friction at rest with its limits; False if M is not positive definite.
 
     Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, whose inverse is filled,
     and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes are the

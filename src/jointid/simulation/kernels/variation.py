@@ -158,7 +158,7 @@ def _flush(values: FloatArray) -> None:
 
 @inline_kernel
 def _join(pairs: IndexArray, carriers: IntArray, f: FloatArray, K: FloatArray, C: FloatArray, x: FloatArray) -> None:
-    """Add what masses and springs do to stiffness, damping and what is given; a torque may be carried by friction."""
+    """Add masses and springs to stiffness, damping and inputs; friction may carry a torque."""
     nd = len(K)
     for i in range(nd):
         K[i, i] -= f[_STIFF, i]
