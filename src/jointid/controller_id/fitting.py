@@ -185,7 +185,7 @@ class FittedLaw:
 
     @cached_property
     def response(self) -> FloatArray:
-        """|G| from position to torque, times the shape of the position's error, (frequencies,)."""
+        """Gain from position to torque, times the position error's shape, (frequencies,)."""
         log, feedback = self.log, {name: x for name, x in self.numbers.items() if not name.endswith("feedforward")}
         law = controller(self.structure, feedback, log.period, 1.0).law(log.period)
         return position_response(law.feedback, log.period, log.samples, self.structure.rate) * log.error.shape
@@ -216,7 +216,7 @@ class Fitter:
     """
 
     def __init__(self, log: LoopRecord, late: tuple[int, ...] = (0, *LATE)) -> None:
-        """Take a record, and the delays of its log that laws may have; all frequencies weigh alike."""
+        """Take a record and admissible log delays; weight all frequencies equally."""
         self.log, self._late, self.kept = log, late, np.ones(log.samples)
         for n in late:
             self.kept *= shift(log.free, -n)
@@ -230,9 +230,9 @@ class Fitter:
         self._held.clear()
 
     def fit(self, structure: Structure, known: Mapping[str, float], noise: Noise, evaluations: int) -> FittedLaw | None:
-        """Fit a law from the best of its starts, and from what is known of a similar one; None if it is impossible.
+        """Fit a law from the best of its starts; None if impossible.
 
-        The numbers that the torque is not linear in take so many evaluations; with 0 they are those of the start.
+        `known` has numbers of a similar law for the starts. `evaluations` limits the nonlinear search; 0 skips it.
         """
         tried = []
         for numbers in starts(structure, known, self.log.period):
@@ -250,7 +250,7 @@ class Fitter:
         return None if undamped else self.solve(structure, found)
 
     def solve(self, structure: Structure, numbers: Mapping[str, float]) -> FittedLaw:
-        """Solve for a law's gains, none negative, with given filters, ki of a cascade and delay.
+        """Solve non-negative least squares for a law's gains, filters and delays given.
 
         Raises:
             MethodError: a filter cannot be at this rate.
@@ -274,14 +274,14 @@ class Fitter:
         return self.law(structure, {name: found[name] for name in structure.names})
 
     def law(self, structure: Structure, numbers: Mapping[str, float]) -> FittedLaw:
-        """Return a law with given numbers, and what it leaves."""
+        """Evaluate a law with given numbers, and its residual."""
         Z, _ = self._columns(structure, numbers)
         coefficients = law_coefficients(structure, numbers)
         residual = Z[:, COLUMNS + self._late.index(structure.late)] - Z[:, :COLUMNS] @ coefficients
         return FittedLaw(self.log, structure, dict(numbers), coefficients, residual)
 
     def finish(self, one: FittedLaw) -> tuple[FittedLaw, Covariance]:
-        """Fit all numbers of a law under its own noise; return it with their covariance.
+        """Fit all numbers of a law under its own noise, with covariance.
 
         The covariance is robust against remaining colour and unequal variance.
         """
@@ -303,9 +303,9 @@ class Fitter:
         return shift(shown, structure.late) - log.added
 
     def _columns(self, structure: Structure, numbers: Mapping[str, float]) -> tuple[NDArray[np.complex128], FloatArray]:
-        """Transform of columns and torques, and the triangle of both when whitened, of the structure's filters.
+        """Transform of columns and torques, and their whitened triangular factor.
 
-        The torques are those less 0, 1, ... samples late.
+        The torques are advanced by each admissible delay of the log.
         """
         own = {name: value for name, value in numbers.items() if "." in name or name == "reference_delay"}
         key = (structure.frame, tuple(own.items()))
@@ -332,9 +332,9 @@ class Fitter:
         noise: Noise,
         **options: Any,
     ) -> tuple[dict[str, float], FloatArray, FloatArray]:
-        """Minimise a law's whitened residual over numbers; return them, with sensitivities and residual over time.
+        """Minimise a law's whitened residual; return numbers, sensitivities and residual over time.
 
-        `make` returns a law, with its gains from the others or with all numbers; `options` are of `least_squares`.
+        `make` builds a law from numbers, and may solve for its gains; `options` are of `least_squares`.
         """
         from scipy.optimize import least_squares  # itself: a search takes a few steps from each of hundreds of starts
 
@@ -357,7 +357,7 @@ class Fitter:
 
 
 def order_rates(one: FittedLaw, period: float) -> dict[str, float]:
-    """Numbers of a P-PI on the full reference velocity with the larger rate as kp; those of other laws stay.
+    """Order the rates of a P-PI, the larger one as kp.
 
     kp and ki are the two roots of one equation, for ``kv (kp + ki)``, ``kv (1 - ki T)`` and ``kv kp ki``; exchanging
     them gives the same law with another kv. Position loops are usually the faster ones.

@@ -46,13 +46,13 @@ class LearnedNumber:
     """One number of the law.
 
     Attributes:
-        name: as `jointid.models.controllers.numbers_of` has it; "integral" is what an integral holds at the first
+        name: as in `jointid.models.controllers.numbers_of`; "integral" is the state of an integral at the first
             sample, in controller units.
         value: in the law's units.
         std: standard deviation, if this law is the drive's.
         unit: of the value; "" for a number without.
-        lower, upper: ends of the interval: 2 deviations either way, in this law and in all that the record does not
-            distinguish from it and that have the same number.
+        lower, upper: ends of the interval: 2 deviations either way, over this law and all indistinguishable laws with
+            the same number.
     """
 
     name: str
@@ -75,18 +75,18 @@ class LearnedController(Documented):
     Attributes:
         controller: the law with its numbers.
         structure: of the law; its text is the description.
-        numbers: those that were learned.
+        numbers: learned from the record.
         correlation: of their errors, in that order.
         alternatives: structures that the record does not distinguish from it, the likeliest first.
-        regression: share of the torque that a plain regression leaves, where that is so little as to exclude the law.
-        kept: numbers that are as declared, and not from this record.
+        regression: residual share of a linear regression, if it is small enough to exclude the law; else None.
+        kept: numbers taken from the declaration, not from this record.
         rms: of the residual, in the torque's unit. share: of the torque's rms.
         torque_noise: standard deviation of the torque's error, in its unit. position_noise: of the position's.
         residual: (samples,) logged less predicted torque, 0 in the samples that are left out.
         torque_unit, position_unit: of the record.
-        record: name of it.
-        transmission: between the motor and the units of the law, None where there is none.
-        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
+        record: its name.
+        transmission: between the motor and the units of the law; None without one.
+        resampled: resampling of the record to a uniform clock; None if it was logged so.
     """
 
     controller: Controller
@@ -184,7 +184,7 @@ def learn_controller(
     declared: Controller | None = None,
     progress: Progress = ignore_progress,
 ) -> LearnedController:
-    """Learn the controller from a record that has its reference, the motor position and the torque.
+    """Learn the controller from a record of reference, motor position and torque.
 
     The law is applied to the logged reference and position, and its torque compared with the logged one: no joint is
     needed. The numbers are those of maximum likelihood with errors in torque and position (see `noise`), the
@@ -192,7 +192,7 @@ def learn_controller(
 
     Args:
         record: with torque, reference and motor_position, the torque's sample time that of the log.
-        gain: torque per controller unit, of the drive's chain: gains and limit come out in controller units.
+        gain: torque per controller unit of the drive's chain. Gains and limit are in controller units.
         transmission: of the joint, on whose side the record is; [controller] then says which side that is.
         declared: a controller whose limit and delay are kept where the record does not show them.
         progress: receives messages.
@@ -280,7 +280,7 @@ def learn_controller(
 
 
 def fill_from_declaration(made: Controller, declared: Controller | None) -> tuple[Controller, dict[str, float]]:
-    """Take limit and delay from the declaration where the record hides them; return also which, by name."""
+    """Complete a learned limit and delay from the declaration; return those taken."""
     said = {} if declared is None else numbers_of(declared)
     if "limit" in said:  # in the units of the law that was learned, which is on the joint's side
         there, here = (getattr(one, "gain", 1.0) * getattr(one, "ratio", 1.0) for one in (declared, made))
@@ -291,7 +291,7 @@ def fill_from_declaration(made: Controller, declared: Controller | None) -> tupl
 
 
 def _find_limit(fitter: Fitter, best: FittedLaw) -> float:
-    """Torque that the log stands at, if the law asks for more there; else infinite."""
+    """Torque limit: the log's plateau if the law exceeds it; else infinite."""
     log, shown = fitter.log, fitter.predict(best)
     if log.plateau is None:
         return math.inf
@@ -302,7 +302,7 @@ def _find_limit(fitter: Fitter, best: FittedLaw) -> float:
 
 
 def _require_explained(log: LoopRecord, best: FittedLaw, known: Covariance, residual: FloatArray) -> None:
-    """Refuse a law that leaves too much of the torque, ignores the position, or has insignificant gains."""
+    """Refuse a law with large residual, insignificant gains or no informative frequencies."""
     lasting = np.convolve(residual, np.full(_LASTING, 1.0 / _LASTING), "same")
     share, lasts = (float(np.sqrt(np.mean(one**2) / np.mean(log.torque**2))) for one in (residual, lasting))
     poor = share > _EXPLAINED or lasts > _LEFT or not np.any(log.informative[1:])
@@ -323,7 +323,7 @@ def _require_explained(log: LoopRecord, best: FittedLaw, known: Covariance, resi
 
 
 def _find_better_regression(log: LoopRecord, residual: FloatArray) -> float | None:
-    """Residual share of a linear regression, if small enough to exclude the law; otherwise None."""
+    """Residual share of a regression that excludes the law; otherwise None."""
     both = np.fft.rfft(np.column_stack([residual, log.unexplained]) * log.free[:, np.newaxis], axis=0)
     heard = np.fft.irfft(both * (log.informative > 0)[:, np.newaxis], log.samples, axis=0)
     law, regression = np.sqrt(np.mean(heard**2, axis=0) / np.mean((log.torque * log.free) ** 2))
@@ -331,7 +331,7 @@ def _find_better_regression(log: LoopRecord, residual: FloatArray) -> float | No
 
 
 def _span(best: FittedLaw, alike: Sequence[tuple[FittedLaw, Covariance]]) -> dict[str, tuple[float, float]]:
-    """Intervals of a law's numbers over all indistinguishable laws that share the number.
+    """Intervals of a law's numbers over all indistinguishable laws with that number.
 
     Cascades share numbers, as do PD and PID laws; filters of the same kind share theirs.
     """

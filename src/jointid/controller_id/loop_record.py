@@ -41,14 +41,14 @@ class LoopRecord:
 
     Attributes:
         record: with torque, reference and motor position.
-        begin: sample of the record that is the first.
+        begin: index of the first sample in the record.
         period: of the log, seconds.
-        torque: (samples,) less what was added after the limit, where the log contains it.
-        added: (samples,) what that was.
+        torque: (samples,) of the controller, without a logged addition after the limit.
+        added: (samples,) that addition.
         kept: (samples,) 1 where the residual counts, else 0.
-        plateau: the torque that the log stands at where it is largest; None where it never stands.
-        error: what is known of the position's.
-        informative: (frequencies,) 1 where the record tells of its law, else 0.
+        plateau: largest torque, if the log is constant there; else None.
+        error: of the logged position.
+        informative: (frequencies,) 1 where the record is informative of its law, else 0.
         unexplained: (samples,) torque that no law explains, 0 where a limit acts.
     """
 
@@ -66,7 +66,7 @@ class LoopRecord:
 
     @property
     def samples(self) -> int:
-        """Of the log."""
+        """Number of samples of the log."""
         return self.torque.size
 
     @property
@@ -89,7 +89,7 @@ class LoopRecord:
         return _listen(self.record, begin, self.torque[rows], self.added[rows], kept, self.plateau)
 
     def inputs(self, rate: int, interpolation: Interpolation, average: int = 0) -> FloatArray:
-        """Inputs of a law with `rate` periods per sample, (periods, INPUTS), the reference averaged over samples."""
+        """Inputs of a law, (periods, INPUTS); `average` of the reference in samples."""
         key = rate, interpolation, average
         if key not in self._inputs:
             filled = interpolation if rate > 1 else None
@@ -107,7 +107,7 @@ class LoopRecord:
 
 
 def shift(signals: FloatArray, samples: int) -> FloatArray:
-    """Return signals so many samples later, the first ones held; of a negative number earlier."""
+    """Shift signals later by samples, earlier if negative; the ends are held."""
     return np.asarray(signals[np.clip(np.arange(len(signals)) - samples, 0, len(signals) - 1)])
 
 
@@ -174,7 +174,7 @@ def _read_inputs(record: Record, period: float, samples: int, rate: int, filled:
 
 
 def _average_reference(inputs: FloatArray, periods: int) -> FloatArray:
-    """Return the inputs of a law, (periods, INPUTS), with reference and its velocity averaged."""
+    """Average the reference and its velocity in a law's inputs, (periods, INPUTS)."""
     reference, velocity = inputs[:, REFERENCE], inputs[:, REFERENCE_VELOCITY]
     reference = running_mean(reference, periods, float(reference[1] - reference[0]))
     averaged = law_inputs(reference, running_mean(velocity, periods, 0.0))

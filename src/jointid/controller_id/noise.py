@@ -76,10 +76,10 @@ class PositionError:
     """Error of a logged position, independent of the law.
 
     Attributes:
-        shape: (frequencies,) the root of its spectrum, over that of white noise of the same variance.
-        most: bound of its variance: where a law leaves more than its noise, the rest must not be taken for an error of
-            the position, as one that is too large would reward the law for reacting to the position.
-        variance: of its rounding; 0 where that is not known.
+        shape: (frequencies,) root of its spectrum, relative to white noise of the same variance.
+        most: bound of its variance. Without it a residual of the law would count as an error of the position, which
+            would reward the law for reacting to the position.
+        variance: of its quantisation; 0 if unknown.
         power: (bands,) of the logged position itself.
     """
 
@@ -125,7 +125,7 @@ def _points(size: int) -> FloatArray:
 def estimate_noise(
     power: FloatArray, response: FloatArray, torque: float, most: float, informative: FloatArray
 ) -> Noise:
-    """Estimate the noise that explains a residual: the Whittle likelihood, ``sum log S + I / S``, by scoring.
+    """Fit the noise by Whittle's likelihood of a residual, ``sum(log(S) + I/S)``.
 
     `power`, (frequencies,), is the residual's periodogram I, `response` |G| times the shape of the position's error;
     `torque` is the mean square of the logged torque, and `most` bounds the variance of the position's error.
@@ -189,7 +189,7 @@ def band_means(values: FloatArray) -> FloatArray:
 
 
 def spread_bands(values: FloatArray, samples: int) -> FloatArray:
-    """Values at all frequencies of a real transform of samples, from those of its bands."""
+    """Spread values of bands to all frequencies of a real transform."""
     spread = np.repeat(values, band_widths(samples // 2 + 1))
     return np.concatenate([spread[:1], spread])
 
@@ -197,7 +197,7 @@ def spread_bands(values: FloatArray, samples: int) -> FloatArray:
 def informative_frequencies(
     inputs: FloatArray, torque: FloatArray, added: FloatArray, kept: FloatArray, error: PositionError
 ) -> tuple[FloatArray, FloatArray]:
-    """Return 1 at the informative frequencies of the real transform, else 0; and the torque that no law explains.
+    """Informative frequencies (1, else 0), and the torque that no law explains.
 
     Frequencies where the position does not exceed its quantisation count only if they show in the torque: if the
     controller saw the same quantisation, or a slower position loop makes images there.

@@ -47,7 +47,7 @@ class Rival:
 
 
 def search(log: LoopRecord, progress: Progress = ignore_progress) -> tuple[Fitter, FittedLaw, list[Rival]]:
-    """Return the fits on the whole record, the best law and its rivals, the likeliest first."""
+    """Return the fitter of the record, the likeliest law and sorted rivals."""
     progress(f"learning the controller from {log.samples} samples")
     channel = log.record.reference_velocity is not None
     stretch, laws = Fitter(log.select_strongest(_SEGMENT)), dict[Structure, FittedLaw]()
@@ -96,7 +96,7 @@ def simplest(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw:
 def _judge(
     fitter: Fitter, likely: list[FittedLaw], channel: bool, progress: Progress
 ) -> tuple[Fitter, FittedLaw, list[Rival]]:
-    """Fit likely laws to the whole record, and the best of them without each of its parts."""
+    """Fit likely laws, and simplifications of the best, to the whole record."""
     laws, done = dict[Structure, FittedLaw](), set[Structure]()
     best = fitter.fit(likely[0].structure, likely[0].numbers, fitter.shared, _FITTING) or likely[0]
     fitter.share(best)
@@ -114,7 +114,7 @@ def _judge(
 
 
 def _first_structures() -> Iterator[Structure]:
-    """Yield the laws that a search begins with: the richest, with each filter and clock."""
+    """Yield the initial structures: the richest, with each filter and clock."""
     parts = frozenset({ACCELERATION, COULOMB})
     for law, velocity in (("P-PI", "share"), ("PID", "difference")):
         rich = Structure(law, velocity, feedforward=parts)  # type: ignore[arg-type]
@@ -134,7 +134,7 @@ def _try(
     noise: Noise,
     channel: bool,
 ) -> None:
-    """Fit a structure, and improve it by single changes that leave its filters and clocks."""
+    """Fit a structure, then improve it by single changes of the law."""
     one, shared = fitter.fit(structure, known, noise, _SCREENING), fitter.shared
     while one is not None:
         _keep(laws, one, noise)
@@ -151,9 +151,9 @@ def _keep(laws: dict[Structure, FittedLaw], one: FittedLaw | None, noise: Noise)
 
 
 def _best_of(laws: Mapping[Structure, FittedLaw], noise: Noise) -> FittedLaw:
-    """Return the law that is the likeliest under its own noise.
+    """Return the likeliest law under its own noise.
 
-    Where the noises of several laws each speak for the next, it is the one with the least error of the torque.
+    If the choice cycles among laws, take the one with the least torque noise.
     """
     best, seen = _sort(laws, noise)[0], dict[Structure, FittedLaw]()
     while best.structure not in seen:
@@ -167,7 +167,7 @@ def _sort(laws: Mapping[Structure, FittedLaw], noise: Noise) -> list[FittedLaw]:
 
 
 def _compare(fitter: Fitter, best: FittedLaw, laws: Mapping[Structure, FittedLaw]) -> list[Rival]:
-    """Compare laws with the best one, without equivalents that only add inactive parts."""
+    """Compare laws with the best, without equivalents that add inactive parts."""
     own, size, shown = best.score(best.noise), float(np.mean(fitter.log.torque**2)), fitter.predict(best)
 
     def apart(one: FittedLaw) -> float:

@@ -102,7 +102,7 @@ class Structure:
 
     @property
     def nonlinear(self) -> tuple[str, ...]:
-        """The numbers that its torque is not linear in: of filters, ki of a cascade, and the reference's delay."""
+        """Nonlinear numbers: of filters, ki of a cascade, and the reference's delay."""
         rates = ("reference_delay", *(("integral_gain",) if self.cascade else ()))
         return tuple(name for name in self.names if "." in name or name in rates)
 
@@ -119,7 +119,7 @@ class Structure:
 
     @property
     def parts(self) -> int:
-        """Number of parts: parameters, and each delay, rate or offset not in a plain law."""
+        """Number of parts: parameters, delays, rates and offsets of the law."""
         return len(self.names) + len(self._choices) + (self.interpolation != "linear")
 
     def weight(self, rows: float) -> float:
@@ -190,7 +190,7 @@ def may_be_negative(name: str) -> bool:
 
 
 def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
-    """Yield start values of the numbers that a torque is not linear in: from a similar law, or on a grid."""
+    """Yield start values of nonlinear numbers, from a similar law or grid."""
     known, names, options = dict(known), structure.nonlinear, []
     if (
         "derivative_gain" in known and "integral_gain" in known
@@ -206,7 +206,7 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
 
 
 def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
-    """Bounds of a parameter of a law with `rate` periods per log sample (`sample_time`, s)."""
+    """Bounds of a law's parameter; `rate` periods per `sample_time` (s)."""
     if may_be_negative(name):
         return -math.inf, math.inf
     _, power, low, high = _NUMBERS.get(name.rpartition(".")[2], ((), 0, 0.0, math.inf))
@@ -215,7 +215,7 @@ def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
 
 
 def controller(structure: Structure, numbers: Mapping[str, float], period: float, gain: float) -> Controller:
-    """Build the controller; `period` of the log in s, `gain` torque per controller unit."""
+    """Build the controller; `period` in s, `gain` in torque per controller unit."""
     own_period, velocity = period / structure.rate, structure.reference_velocity
     of_velocity, of_torque = filters_of(structure, numbers)
     settings: dict[str, tuple[Any, object]] = {  # and whether they are not those of a plain law
@@ -237,7 +237,7 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
 
 
 def per_controller_unit(structure: Structure, numbers: Mapping[str, float], gain: float) -> dict[str, float]:
-    """Convert numbers in torque to controller units; `gain` is torque per controller unit."""
+    """Convert numbers to controller units; `gain` is torque per controller unit."""
     rates = ("position_gain", "integral_gain", "velocity_feedforward") if structure.cascade else ()
     kept = (*rates, "reference_delay")
     return {name: value if "." in name or name in kept else value / gain for name, value in numbers.items()}
@@ -263,7 +263,7 @@ def _samples(kind: str) -> int:
 
 
 def canonical(structure: Structure) -> Structure:
-    """Canonical name of a law: the cascade's if a PD or PID is equivalent, without parts that it cannot have."""
+    """Canonical form of a law: the cascade, if equivalent, without impossible parts."""
     law, velocity, parts = structure.law, structure.reference_velocity, structure.feedforward
     plain = velocity == "difference" and structure.velocity_filter == "none"
     if law == "PD" and velocity == "none":
@@ -281,7 +281,7 @@ def canonical(structure: Structure) -> Structure:
 
 
 def list_laws(structure: Structure, channel: bool) -> list[Structure]:
-    """Canonical laws with the same filters and clocks that differ in one part; `channel`: of a reference velocity."""
+    """Canonical laws that differ in one part; `channel`: with a reference velocity."""
     own = ["channel"] if channel else []
     cascades: tuple[Law, ...] = ("P-P", "P-PI")
     others: tuple[Law, ...] = ("PD", "PID")

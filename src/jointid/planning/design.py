@@ -1,4 +1,4 @@
-"""The verb `design`: the most informative test of a joint or a robot within its limits."""
+"""`design`: the most informative test of a joint or robot within limits."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def design(
     seed: int = 0,
     progress: Progress = ignore_progress,
 ) -> Design:
-    """Search for the test that determines the parameters best within the limits of the axes.
+    """Search for the most informative test within the limits of the axes.
 
     Args:
         model: an estimate, of a joint by DIDIM with every parameter identified; or a joint in its loop, a robot or a
@@ -71,7 +71,7 @@ def design(
         limits: of the axis; of a robot those of each joint.
         motion: a test of your own, or a past record, which is predicted instead of a search; of a robot one for each
             joint.
-        within: percent of each value, by which it may be off, 2 sigma: limits are kept, and intervals predicted, for
+        within: tolerance of each value in percent, 2 sigma: limits are kept, and intervals predicted, for
             joints or robots drawn from it. By default the covariance of the estimate of a joint; all else as known.
         duration: of the test, s; that of the record by default.
         sample_time: of its log, s; likewise.
@@ -141,7 +141,7 @@ def _read_times(
     present: Sequence[Record], played: Sequence[Record], duration: float | None, sample_time: float | None,
     usual: tuple[float | None, float | None] = (None, None),
 ) -> tuple[int, float]:  # fmt: skip
-    """Return how many samples a test has, and their time: those that are given, of a record, or the usual ones."""
+    """Samples and sample time of a test: given, a record's or usual."""
     known, lasts = (*present, *played), (*played, *present)
     if known and sample_time is None:
         sample_time = next(one.sample_time for one in (known[0].torque, known[0].reference) if one is not None)

@@ -1,4 +1,4 @@
-"""A designed test of one or several axes: what it tells, what it reaches, and its files."""
+"""A designed test of one or several axes: intervals, maxima and files."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class DesignedAxis:
 
     Attributes:
         name: of a robot's joint; empty of a joint alone.
-        test: as a record without a torque yet.
+        test: record without torque.
         position_unit, torque_unit: of all numbers.
         transmission: on whose `side` they are.
         limits: that the test keeps.
-        given: those that were stated; the others are those of the present test.
-        reached: the largest of each quantity, over the joints of the interval.
+        given: limits that were stated; the others are taken from the present test.
+        reached: maximum of each quantity over the joints of the interval.
     """
 
     in_json = "passed -test"
@@ -58,7 +58,7 @@ class DesignedAxis:
 
     @property
     def passed(self) -> tuple[str, ...]:
-        """Clauses on limits that are passed; none as a rule."""
+        """Clauses on exceeded limits; usually none."""
         return tuple(describe_excess(self.limits, self.reached, self.units, self.name))
 
     @property
@@ -68,11 +68,11 @@ class DesignedAxis:
 
     @property
     def taken(self) -> tuple[str, ...]:
-        """Names of the limits that are those of the present test."""
+        """Names of the limits taken from the present test."""
         return tuple(name for name in self.limits.stated if name not in self.given.stated)
 
     def word(self, quantity: str) -> str:
-        """Return a quantity with the axis's name before it, where it has one."""
+        """Prefix a quantity with the axis's name, if it has one."""
         return f"{self.name} {quantity}".strip()
 
     def cell(self, quantity: str) -> str:
@@ -89,16 +89,16 @@ class Design(Documented):
     """A proposed test of a joint or a robot, and its predicted intervals.
 
     Attributes:
-        goal: what the test is to tell.
+        goal: parameters that the test determines.
         description: of the test, in words.
-        axes: what it does to each axis.
-        tests: predictions by the name of the test: "proposed", and where they are known "present", the test there is
-            already, and "at worst" over what may be known wrong.
-        noise: what disturbs the tests, in words.
-        floor: standard deviation of the goal below which no motion comes; None where it is not known.
-        interrupted: whether the search was, before its time was over.
-        notes: clauses on what is doubtful; none as a rule.
-        from_shafts: (n, n) the joints' positions from the references of their motors; None where they are the same.
+        axes: test of each axis.
+        tests: predictions by the name of the test: "proposed"; if known, "present", the existing test, and "at worst",
+            over the tolerance of the values.
+        noise: description of the disturbance.
+        floor: lower bound of the goal's standard deviation over all motions; None if unknown.
+        interrupted: whether the search was interrupted before its time limit.
+        notes: clauses on doubts; usually none.
+        from_shafts: (n, n) the joints' positions from the references of their motors; None if they are the same.
         columns: of the file that drives play, by name; without them SI units on the joint's side.
         options: of the text of that file.
     """
@@ -128,7 +128,7 @@ class Design(Documented):
 
     @property
     def passed(self) -> tuple[str, ...]:
-        """Clauses on limits that are passed; none as a rule."""
+        """Clauses on exceeded limits; usually none."""
         return (*self.notes, *(clause for axis in self.axes for clause in axis.passed))
 
     @property
@@ -138,7 +138,7 @@ class Design(Documented):
 
     @property
     def sentence(self) -> str:
-        """Peak torque, and the predicted interval of the goal beside that of the present test."""
+        """Peak torque, and predicted intervals of the goal, proposed and present."""
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
         return f"Peak torque {'; '.join(self.peaks)}. {self._summary}.{over}"
 
@@ -233,7 +233,7 @@ class Design(Documented):
         return figure
 
     def records(self) -> tuple[Record, ...]:
-        """Return the test as a record of each axis, with its reference and what is added to its torque."""
+        """Records of the axes, with reference and added torque."""
         return tuple(
             replace(axis.test, name="test", torque=None, motor_position=None, load_position=None) for axis in self.axes
         )
@@ -254,7 +254,7 @@ class Design(Documented):
         return files | {"how-to-run.md": self._page(join([f"`{name}`" for name in columns])).encode("utf-8")}
 
     def trajectory(self) -> str:
-        """Return the motion of the joints behind their gears, rad or m, as a ROS 2 JointTrajectory (YAML).
+        """Load-side motion, rad or m, as a ROS 2 JointTrajectory (YAML).
 
         Between two points controllers interpolate by a cubic of positions and velocities (ROS 2 control).
         """

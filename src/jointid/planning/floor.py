@@ -1,4 +1,4 @@
-"""Lower bound of a goal's deviation over all tests of a flexible joint, and the spectrum that attains it.
+"""Lower bound of a goal's deviation for flexible joints, and its spectrum.
 
 A sliding flexible joint is linear, so information adds up over frequencies. With P the response of the motor's position
 to the force on it, H the controller's torque per position, S = 1 / (1 + P H exp(-s d)) and F the force, the torque's
@@ -41,9 +41,9 @@ class Floor:
     """The least deviation over all motions, and the optimal force powers.
 
     Attributes:
-        deviation: None where it is not known.
-        hertz, power: (frequencies,) of the force that acts, and its mean square at each.
-        sensitivity: (frequencies,) size of S: so much of a signal that is injected is left of it in the force.
+        deviation: of the goal; None if unknown.
+        hertz, power: (frequencies,) frequencies of the acting force, and its mean square at each.
+        sensitivity: (frequencies,) |S|, the share of an injected signal that acts as a force.
     """
 
     deviation: float | None
@@ -74,16 +74,16 @@ def least_deviation(
     loop: ClosedLoop, values: Mapping[str, float], noise: Noise, goal: Goal, limits: AxisLimits, samples: int,
     sample_time: float, cutoff: float,
 ) -> Floor | None:  # fmt: skip
-    """Return the lower bound of a goal's standard deviation for tests of a flexible joint (see the module).
+    """Lower bound of a goal's standard deviation for a flexible joint.
 
-    None where there is none: of another law of friction or spring, of a goal that is no combination of the linear
-    parameters, and where the torque is not limited or does not move the joint.
+    None with another friction or spring law, for a goal that is no combination of the linear parameters, and if the
+    torque is unlimited or does not move the joint.
 
     Args:
         loop: joint and controller.
         values: every parameter of the joint by name.
-        noise: of the log, or of a force. Of a first record, and of the goal "all", the deviation is not known: a force
-            as large, and the stiffness, say where the torque should act.
+        noise: of the log, or of a force. For a first record's noise or the goal "all" the deviation is unknown; the
+            powers are then those for an equal force and the stiffness.
         goal: a linear parameter, a combination of them, or "all".
         limits: of torque (rms) and stroke.
         samples: of the test.
@@ -100,7 +100,7 @@ def least_deviation(
     law = loop.controller.law(sample_time)
 
     def respond(name: str, by: float) -> ComplexArray:
-        """Return the motor's position per force on it, sliding."""
+        """Response of the sliding motor's position to a force on it."""
         return frequency_response(loop.joint, {**values, name: values[name] + by}, hertz, "motor_position")
 
     H, P = -law.feedback(hertz), respond("stiffness", 0.0)
@@ -119,7 +119,7 @@ def least_deviation(
 
 
 def _least_variance(information: FloatArray, allowed: FloatArray, w: FloatArray) -> tuple[float, FloatArray]:
-    """Minimise ``w' M^-1 w`` over powers with sums, by the rows of `allowed`, up to 1.
+    """Minimise ``w' M^-1 w`` over powers with ``allowed @ power <= 1``.
 
     S. D. Silvey's multiplicative rule: scale each power by the root of its gain, then normalise to the active
     constraint.

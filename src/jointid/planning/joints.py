@@ -1,4 +1,4 @@
-"""Knowledge of a joint for the design of its test, and the intervals of a test.
+"""Model of a joint for test design, and predicted intervals of tests.
 
 The loop is simulated along the planned reference and injection at the rough parameters, and at others of their
 interval. The derivatives J of the torque pass the identification's filter. With S the covariance of ``J' e``, e the
@@ -9,8 +9,8 @@ filtered torque error from noise::
 S depends on the known noise (`Noise`):
 
 - white noise on the logged torque, or a white force on the motor: S is the mean of ``(J' e)(J' e)'`` over simulated
-  runs, since friction hides a force and the loop colours it. Of one run it is taken from the spectrum of e: roughly, as
-  a search asks for many tests.
+  runs, since friction hides a force and the loop colours it. With one run it is approximated from the spectrum of e,
+  which is fast enough for a search.
 - the residual of a first record: it keeps its spectrum, and each interval is scaled as that record's reported interval
   relative to the one by spectrum. This includes repeatable errors.
 
@@ -57,16 +57,16 @@ _MORE = {"speed": 2.0, "acceleration": 2.0}  # of the present test's, in the pla
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointModel:
-    """A joint in its loop as it is roughly known.
+    """A roughly known joint in its loop.
 
     Attributes:
         loop: joint and controller.
-        joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
+        joints: values of every parameter, one mapping for each joint of the tolerance, the roughly known one first.
         disturbance: of every test.
         samples, sample_time: of a test and its log, s.
         filtering, parameters: of the identification.
         injection: whether the drive can add a signal.
-        present: the test there is already; None without one.
+        present: record of the existing test; empty without one.
     """
 
     needed = ("stroke", "speed", "acceleration", "torque")
@@ -105,7 +105,7 @@ class JointModel:
     def families(
         self, limits: Sequence[AxisLimits], goal: Goal, before: PredictedTest | None
     ) -> tuple[tuple[Family, ...], float | None]:
-        """Return the families to search within limits, and the deviation of the goal below which no test comes."""
+        """Families to search within limits, and the goal's least possible deviation."""
         (limit,), loop, values = limits, self.loop, self.joints[0]
         cutoff = self.filtering.resolve(self.sample_time, loop.joint.model).cutoff
         assert cutoff is not None
@@ -159,11 +159,11 @@ class JointModel:
         return self.predict(self.records(plan))
 
     def predict(self, test: Sequence[Record], runs: int = 1) -> Iterator[PredictedTest]:
-        """Predict a test at every joint, the known one first, each with noise of its own.
+        """Predict a test at every joint, the known one first, with noise.
 
         Args:
             test: a record without torque; a past record also serves, its torque is ignored.
-            runs: of the loop with noise; of one the spectrum is taken.
+            runs: number of simulations with noise; with 1 the spectrum is used.
 
         Raises:
             MethodError: the loop cannot be simulated.
@@ -223,7 +223,7 @@ def joint_model(
     injection: bool,
     seed: int,
 ) -> JointModel:
-    """Model a joint for the design of tests of this length; see `jointid.design`."""
+    """Model a joint for test design; see `jointid.design`."""
     covariance, loop = None, model if isinstance(model, ClosedLoop) else model.settings.loop
     if isinstance(model, Estimate) and loop is not None and present:
         covariance = model.covariance_of([p.name for p in model.rows if p.free and p.of_joint]).matrix
@@ -287,7 +287,7 @@ def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: flo
 
 
 def _scatter(problem: ClosedLoopProblem, J: FloatArray, errors: Sequence[FloatArray]) -> FloatArray:
-    """Return the covariance of all free parameters from runs with noise, (free, free); of one by its spectrum."""
+    """Covariance of free parameters, (free, free), from noisy runs or one spectrum."""
     if len(errors) == 1:
         return Influence(J, problem.filter(errors[0])).stationary().matrix
     norms = column_norms(J)
@@ -298,7 +298,7 @@ def _scatter(problem: ClosedLoopProblem, J: FloatArray, errors: Sequence[FloatAr
 
 
 def _draw_errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int) -> list[FloatArray]:
-    """Return the noise in the logged torque for each run, raw, (samples,) each; none of a first record's alone."""
+    """Draw the raw torque noise of each run, (samples,); none without noise."""
     if noise.log == noise.force == 0.0:
         return []
     experiment, quiet = problem.axis, problem.torque(x)

@@ -1,4 +1,4 @@
-"""Tests that a search draws: a motion of a joint with a signal on its torque, or a Fourier series of a robot's joints.
+"""Test families: a joint's motion with added torque, or robot Fourier series.
 
 A test is a family and numbers between 0 and 1. Drives generate trapezoids (with a jerk limit) and sums of sines; test
 benches play tables. A joint's family combines one such motion with one added signal.
@@ -126,7 +126,7 @@ class Family:
         return _MOTIONS[self.motion][0] + _ADDED[self.added][0]
 
     def play(self, numbers: Numbers, time: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the reference and, unless nothing is added, what is, (samples,) each."""
+        """Reference of the test, and any signal added to its torque, (samples,)."""
         at = self, time.size, float(time[1] - time[0])
         count, motion = _MOTIONS[self.motion]
         added = _ADDED[self.added][1]
@@ -136,7 +136,7 @@ class Family:
 def families_in(
     room: AxisLimits, highest: float, mode: float, lines: tuple[tuple[float, float], ...], *, injection: bool = True
 ) -> tuple[Family, ...]:
-    """Return the families that a search tries; without `injection` those that add nothing to the torque."""
+    """Families to search; without `injection` only those that add no torque."""
     possible = [one for one in _ADDED if (injection or one == "nothing") and (one != "lines" or lines)]
     return tuple(Family(motion, one, room, highest, mode, lines) for motion in _MOTIONS for one in possible)
 
@@ -149,7 +149,7 @@ class Series:
         limits: of each joint; positions and speed must be given.
         period: T of the module, s.
         harmonics: of it.
-        share: of speed and acceleration that they may use; below 1 something is added, which has a margin of its own.
+        share: usable share of the limits of speed and acceleration; the rest is kept for added multisines.
     """
 
     limits: tuple[AxisLimits, ...]
@@ -212,7 +212,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A test of a family with these numbers, made smaller about its first position."""
+    """A test of a family, scaled about its first position."""
 
     family: Family | Series
     numbers: tuple[float, ...]
@@ -223,6 +223,6 @@ class Plan:
         return replace(self, factor=factor * self.factor)
 
     def play(self, time: FloatArray) -> tuple[FloatArray, ...]:
-        """Return its signals at instants from 0 on, the positions first; see the families."""
+        """Signals of the test at instants from 0 on, the positions first."""
         position, *others = self.family.play(self.numbers, time)
         return position[0] + self.factor * (position - position[0]), *(self.factor * one for one in others)

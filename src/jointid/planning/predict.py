@@ -1,4 +1,4 @@
-"""Predicted intervals of a test, their noise, the peak loads of the test, and its goal."""
+"""Predicted intervals of a test: noise, maxima and goal."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Noise:
 
     @classmethod
     def of(cls, estimate: Estimate, record: Record) -> Noise:
-        """Noise from the residual of a first record, by DIDIM with all parameters identified.
+        """Noise from the residual of a record identified completely by DIDIM.
 
         Raises:
             MethodError: the estimate is not of a simulated loop as declared, or not of this record, or refuses a value.
@@ -78,10 +78,10 @@ class PredictedTest:
     Attributes:
         joint: names of the free parameters, in their order.
         symbols, units, values: of these, by name.
-        covariance: of their errors; the deviation of what the test does not tell is infinite.
+        covariance: of their errors; undetermined parameters have infinite deviations.
         torques: (axes, samples) along the test, without noise.
         sample_time: of the torques, s.
-        reached: of each axis the largest of each quantity that may be limited, by name.
+        reached: maxima of the limited quantities of each axis, by name.
     """
 
     in_json = "std -covariance -reached"
@@ -108,7 +108,7 @@ class PredictedTest:
 
 
 def find_undetermined(J: FloatArray) -> NDArray[np.bool_]:
-    """Return which parameters the rows of J do not tell: the torque would be the same for other values of them."""
+    """Undetermined parameters, from the near-zero eigenvalues of the scaled ``J' J``."""
     scaled = J / column_norms(J)
     sizes, directions = np.linalg.eigh(scaled.T @ scaled)
     free = directions[:, sizes <= _SAME * max(float(sizes[-1]), 1.0)]
@@ -127,7 +127,7 @@ def find_maxima(
         acceleration: (samples, n) of the reference.
         torque: (samples, n).
         sample_time: of the reference, s.
-        noise: (n,) standard deviation of what is added to the torque.
+        noise: (n,) standard deviation of the torque noise.
         windup: (n,) of the springs, nan of a rigid joint.
     """
     low, high = (f([f(one, axis=0) for one in positions], axis=0) for f in (np.min, np.max))
@@ -158,7 +158,7 @@ class Goal:
     """Goal of a test.
 
     Attributes:
-        weights: of the parameters, by name, where it is one or a combination of them; else none.
+        weights: of the goal's parameters, by name; empty for all parameters.
     """
 
     name: str
@@ -185,7 +185,7 @@ class Goal:
 
 
 def parse_goal(name: str, units: Mapping[str, str]) -> Goal:
-    """Parse a goal: the name of a free parameter, a sum or a difference of them, or "all"; `units` are of these."""
+    """Parse a goal, a combination of parameters or "all"; `units` by name."""
     if name == ALL:
         return Goal(name, {})
     weights = weights_of(name)

@@ -1,7 +1,7 @@
-"""Model of a robot for the design of its test: parameters, alternatives within tolerance, and noise.
+"""Robot model for test design: parameters, alternatives within tolerance, and noise.
 
-Of a motion q the columns W(q) of base parameters and friction say what a test will tell: with white noise of deviation
-s_k on the log of joint k's torque the errors of all parameters have the covariance of::
+The columns W(q) of base parameters and friction along a motion q predict the accuracy. With white noise of deviation
+s_k on the log of joint k's torque the covariance of all parameters is::
 
     M = sum_k W_k' W_k / s_k^2,      cov = M^-1
 
@@ -66,19 +66,19 @@ _LEAST = 0.2  # of a number that is drawn: less is no robot that somebody declar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotModel:
-    """A robot as it is roughly known.
+    """A roughly known robot.
 
     Attributes:
-        robots: that it may be; first the one that is roughly known.
+        robots: robots of the tolerance, the roughly known one first.
         base: its parameters by the equations of rigid joints.
-        loop: that one under its controllers, for a test by DIDIM; None for one by IDIM.
+        loop: the roughly known one under its controllers, for a test by DIDIM; None for one by IDIM.
         samples, sample_time: of a test and its log, s.
         filtering: of the identification.
-        feed_forward: that its drives are given.
-        present: references of the test there is already; empty without one.
+        feed_forward: of its drives.
+        present: references of the existing test; empty without one.
         sizes: (n,) standard deviation of white noise on the log of each torque.
-        guessed: whether these are a guess.
-        instants: of a series, at which its columns are taken in a search; None where tests are played whole.
+        guessed: whether `sizes` are guessed.
+        instants: number of instants at which a search evaluates a series; None if it plays whole tests.
     """
 
     needed = ("lower", "upper", "speed")
@@ -97,12 +97,12 @@ class RobotModel:
 
     @property
     def robot(self) -> Robot:
-        """The robot that is roughly known."""
+        """The roughly known robot."""
         return self.robots[0]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the joints."""
+        """Names of the joints."""
         return self.robot.names
 
     @property
@@ -118,14 +118,14 @@ class RobotModel:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Clauses on what is not known: a friction that nothing states is missing in the torque."""
+        """Clauses on unknowns: joints without stated friction, missing in the torque."""
         of_whole = [(joint.name, joint.rigid.values.items()) for joint in self.robot.joints]
         without = [name for name, own in of_whole if not any(value for of, value in own if of != "inertia")]
         said = f"the torque is without the friction of {', '.join(without)}, which nothing states"
         return (f"{said}: give viscous and coulomb, or a first record",) if without else ()
 
     def roughly(self, goal: Goal) -> RobotModel:
-        """Return the model by the equations of a rigid robot, where they tell the goal, else without other robots."""
+        """Approximate the model: rigid equations, or one robot for a single goal."""
         if self.loop is not None and goal.name != ALL:
             return replace(self, robots=self.robots[:1])
         return replace(self, loop=None, instants=_INSTANTS)
@@ -133,7 +133,7 @@ class RobotModel:
     def families(
         self, limits: Sequence[AxisLimits], _goal: Goal, _before: PredictedTest | None
     ) -> tuple[tuple[Series, ...], None]:
-        """Return the families to search within limits, series of several lengths; no floor is known."""
+        """Series of several numbers of harmonics within limits, and no floor."""
         share = 1.0 - _FOR_MODES if any(self.robot.flexible) else 1.0
         period = self.samples * self.sample_time
         return tuple(Series(tuple(limits), period, harmonics, share) for harmonics in _HARMONICS), None
@@ -145,7 +145,7 @@ class RobotModel:
         return f"{said}: a guess, {100 * _NOISE:g} % of each joint's usual torque" if self.guessed else said
 
     def records(self, plan: Plan) -> tuple[Record, ...]:
-        """Return a test as a record of each joint, with multisines about the modes."""
+        """Records of a test, one per joint, with multisines about the modes."""
         q, *_ = plan.play(np.asarray(np.arange(self.samples) * self.sample_time))
         if any(self.robot.flexible):
             assert isinstance(plan.family, Series)
@@ -161,7 +161,7 @@ class RobotModel:
         return f"{motion}, {number(test[0].duration, 3)} s long{modes}"
 
     def predict_plan(self, plan: Plan) -> Iterator[PredictedTest]:
-        """Predict a test of each robot, by the equations of a rigid one or simulated."""
+        """Predict a test of each robot, by rigid-body equations or simulation."""
         if self.instants is None:
             yield from self.predict(self.records(plan))
             return
@@ -170,9 +170,9 @@ class RobotModel:
         yield from self._apply_equations((q, v, a), period / self.instants)
 
     def predict(self, test: Sequence[Record], _runs: int = 1) -> Iterator[PredictedTest]:
-        """Predict a test of each robot, the known one first; white noise needs no runs.
+        """Predict a test of each robot, the roughly known one first.
 
-        The drives are given the feed-forward of the robot that is roughly known.
+        All drives have the feed-forward of the roughly known robot. White noise needs no runs.
         """
         assert test[0].reference is not None
         motion, step = differentiate_references(self.robot, test), test[0].reference.sample_time
@@ -211,8 +211,8 @@ class RobotModel:
     def _simulate(self, loop: RobotLoop, driven: Sequence[Record], motion: Motion, step: float) -> PredictedTest:
         """Predict a test by DIDIM from a run under the controllers.
 
-        Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells
-        as much as the samples that it stands for.
+        Filter and decimation pass only a part of white noise's power, so each row has the information of the samples
+        that it replaces.
         """
         parameters = robot_parameters(loop.robot)
         kept = run_loop(prepare(loop, driven), Numbers.of(loop.robot), keep=True)
@@ -232,7 +232,7 @@ class RobotModel:
         return _predicted(self.units, values, J * weights[:, np.newaxis], run.torque, step, reached)
 
     def _multisines(self, modes: Mapping[str, float], limits: Sequence[AxisLimits]) -> FloatArray:
-        """Return multisines about the mode of each flexible joint, (samples, n), within the range kept for them."""
+        """Multisines about the mode of each flexible joint, within limits, (samples, n)."""
         samples, T = self.samples, self.sample_time
         added = np.zeros((samples, len(limits)))
         for k, limit in enumerate(limits):
@@ -263,7 +263,7 @@ def robot_model(
     feed_forward: FeedForward,
     seed: int,
 ) -> RobotModel:
-    """Model a robot for the design of tests of this length; see `jointid.design`."""
+    """Model a robot for test design; see `jointid.design`."""
     present: tuple[Record, ...] = ()
     if isinstance(model, Estimate):
         part = model.require_robot()
@@ -296,7 +296,7 @@ def robot_model(
 
 
 def differentiate_references(robot: Robot, test: Sequence[Record]) -> Motion:
-    """Return positions, velocities and accelerations of the joints along references of the motors."""
+    """Positions, velocities and accelerations of the joints along motor references."""
     shafts = [one.reference for one in test if one.reference is not None]
     q = np.column_stack([one.values for one in shafts]) @ np.linalg.inv(robot.coupling).T
     v = np.gradient(q, shafts[0].sample_time, axis=0)
@@ -304,16 +304,16 @@ def differentiate_references(robot: Robot, test: Sequence[Record]) -> Motion:
 
 
 def references(robot: Robot, q: FloatArray, sample_time: float) -> tuple[Record, ...]:
-    """Return a motion of the joints, (samples, n), as references of the motors."""
+    """References of the motors for a motion of the joints, (samples, n)."""
     shafts = np.ascontiguousarray((q @ robot.coupling.T).T)
     channels = (Channel(one, robot.position_unit(k), sample_time, source="planned") for k, one in enumerate(shafts))
     return tuple(Record(reference=one, name="test") for one in channels)
 
 
 def find_modes(robot: Robot, q: FloatArray) -> dict[str, float]:
-    """Return the frequency of each flexible joint's rotor against its link, the others held, along a motion, Hz.
+    """Natural frequency (Hz) of each flexible joint's rotor against its link.
 
-    Springs are the shafts', so what is held is the other shafts: of coupled motors a link then moves others with it.
+    The inertia is the mean along the motion. The other shafts are held, since springs act on shafts.
     """
     poses, joints = q[:: max(len(q) // 20, 1)], np.linalg.inv(robot.coupling)
     bare = replace(robot, joints=tuple(replace(one, rotor_inertia=0.0, spring=None) for one in robot.joints))
@@ -332,7 +332,7 @@ def _predicted(
     units: Mapping[str, str], values: FloatArray, J: FloatArray, torque: FloatArray, step: float,
     reached: tuple[Mapping[str, float], ...],
 ) -> PredictedTest:  # fmt: skip
-    """Return the prediction of least squares on rows of deviation 1; a symbol is the name."""
+    """Predict intervals of least squares on rows of unit noise deviation."""
     norms, names = column_norms(J), tuple(units)
     inverse = np.linalg.pinv(np.linalg.qr(J / norms, mode="r"))
     covariance = covariance_of(inverse @ inverse.T, norms)
@@ -342,9 +342,9 @@ def _predicted(
 
 
 def _read_first(estimate: Estimate, records: Sequence[Record]) -> tuple[tuple[Record, ...], FloatArray]:
-    """Return the motion of a first record as references, and the deviation of white noise on each joint's log, (n,).
+    """Motion of a first record as references, and its white noise, (n,).
 
-    The noise has as much in the band of the filter as the estimate left.
+    The noise has the power of the estimate's residual in the band of the filter.
     """
     torques, robot = torques_of_robot(estimate, records), estimate.require_robot().model
     left = np.array([np.sqrt(np.mean(e[s] ** 2)) for e, s in zip(torques.error, torques.seen, strict=True)])
@@ -358,7 +358,7 @@ def _read_first(estimate: Estimate, records: Sequence[Record]) -> tuple[tuple[Re
 
 
 def _identified_robot(estimate: Estimate, loop: RobotLoop | None) -> Robot:
-    """Return bodies near the nominal ones with what was found; the nominal ones where there are none."""
+    """Physically consistent robot of an estimate; nominal bodies if there is none."""
     part = estimate.require_robot()
     try:
         robot = consistent_robot(estimate).robot

@@ -1,7 +1,7 @@
-"""Search for the most informative test, over several families, within the axis limits.
+"""Search for the most informative test of several families within limits.
 
-A test is a family and numbers between 0 and 1 (`plans`). `Objective` judges what it tells of a goal and reaches of each
-axis, at each joint or robot that there may be. One that exceeds a limit ranks below all others, by the excess.
+A test is a family and numbers between 0 and 1 (`plans`). `Objective` rates its information on the goal and its maxima
+on each axis, at each joint or robot of the tolerance. Tests that exceed a limit rank below all others, by the excess.
 
 Random tests of every family start the search; the best of each and then the best of all take adaptive steps of an
 evolution strategy (I. Rechenberg's one-fifth rule). New random tests are mixed in while time remains.
@@ -72,13 +72,13 @@ class Tried:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Objective:
-    """The tests that are compared.
+    """Objective of a search, and the limits of its tests.
 
     Attributes:
-        model: what is known.
-        goal: what a test is to tell.
-        limits: that each axis keeps.
-        families: to search; none where a test is given.
+        model: of the joint or robot.
+        goal: of a test.
+        limits: of each axis.
+        families: to search; empty if a test is given.
     """
 
     model: JointModel | RobotModel
@@ -93,7 +93,7 @@ class Objective:
     def judge(
         self, plan: Plan | None, each: Iterator[PredictedTest], *, margin: float = 1.0, than: Tried | None = None
     ) -> Tried:
-        """Judge a test by its predictions: the mean of their scores, and the largest of what they reach.
+        """Judge a test by its predictions: mean score, and largest maxima.
 
         Args:
             plan: the test.
@@ -123,7 +123,7 @@ class Objective:
                 return tried
 
     def _worst_excess(self, reached: Sequence[Mapping[str, float]], margin: float) -> float:
-        """Return the largest factor by which a share of the limits is exceeded; 0 where none is."""
+        """Largest factor by which the limits are exceeded; 0 if none is."""
         ends = ("lower", "upper")  # a position has no share
         factors = [0.0]
         for one, found in zip(self.limits, reached, strict=True):
@@ -136,7 +136,7 @@ def complete(
     limits: Sequence[AxisLimits], names: Sequence[str], needed: Collection[str], kept: Collection[str],
     before: Sequence[Mapping[str, float]] | None,
 ) -> tuple[AxisLimits, ...]:  # fmt: skip
-    """Complete the limits of each axis by what the present test reaches; raise where a needed one is missing."""
+    """Complete limits from the present test; refuse if needed ones are missing."""
     found, missing = [], list[str]()
     for one, name, seen in zip(limits, names, before or [{} for _ in names], strict=True):
         if lacking := [what for what in needed if what not in one.stated and what not in seen]:
@@ -161,7 +161,7 @@ class _Line:
     step: float = _FIRST_STEP
 
     def move(self, asked: Objective, rng: np.random.Generator) -> None:
-        """Try two neighbouring tests, and move to the better one if it improves."""
+        """Try two neighbouring tests, and move to the better if it improves."""
         moved = []
         for _ in range(2):
             which = rng.random(self.u.size) < rng.choice(_PARTS) if self.u.size > _MANY else True
@@ -177,7 +177,7 @@ class _Line:
 def search(
     asked: Objective, seconds: float, progress: Progress, *, seed: int = 0, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Tried]:
-    """Yield ever better tests until the time is over, or many tests bring no gain; at least one.
+    """Yield improving tests, at least one, until time or progress ends.
 
     Args:
         asked: the search problem.
