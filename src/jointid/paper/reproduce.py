@@ -303,7 +303,7 @@ _TOLERANCE = 1e-4  # that of MATLAB's fminsearch
 
 
 def by_simplex(record: Record, loop: ClosedLoop, rigid: Estimate, best: Estimate) -> Estimate:
-    """Return the estimate by Nelder-Mead from a rigid one, restarted once, in place of the best by least squares."""
+    """Estimate by Nelder-Mead from `rigid`, restarted once, in the form of `best`."""
     from scipy.optimize import minimize
 
     assert record.reference is not None
@@ -334,10 +334,10 @@ def by_simplex(record: Record, loop: ClosedLoop, rigid: Estimate, best: Estimate
 
 
 def inverse_model_deviations(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray:
-    """Return the paper's deviations of the joint's parameters, the roots of ``s^2 (W' W)^-1`` on the simulated motion.
+    """The paper's deviations, the roots of ``s^2 (W' W)^-1`` on simulated motion.
 
-    They are those of a regression on W, which is not what torque-only identification solves: for a flexible joint the
-    output sensitivities are not W, and Fv1, Fv2 come out many times surer than they are.
+    They assume a regression on W. For a flexible joint the output sensitivities of torque-only identification differ
+    from W, and the deviations of Fv1 and Fv2 are many times too small.
     """
     run, error = problem.simulate(x), problem.residual(x)
     W = np.concatenate([problem.filter(equation) for equation in problem.joint.regressor(run.motor, run.load)])

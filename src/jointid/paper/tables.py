@@ -1,4 +1,4 @@
-"""Published numbers as printed, Tables 1 to 7, and what follows from them by the paper's sections and equations.
+"""Published Tables 1 to 7 as printed, and values recomputed from them.
 
 M. Gautier, A. Janot, A. Jubien, P.-O. Vandanjon, "Joint stiffness identification from only motor force/torque data",
 CDC 2011. `errata` lists inconsistencies.
@@ -112,7 +112,7 @@ def compute_relative_deviations(table: PublishedTable) -> dict[str, Decimal]:
 
 
 def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[str, Decimal]:
-    """Exact change of each parameter (Table 6, from Tables 2 and 4, or 3 and 5)."""
+    """Exact changes from Table 2 to 4, or 3 to 5 (Table 6)."""
     start, end = before.column("value"), after.column("value")
     return {name: end[name] - start[name] for name in start}
 
@@ -120,13 +120,13 @@ def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[st
 def compute_relative_errors(
     idim: PublishedTable, didim: PublishedTable, denominator: str = "DIDIM"
 ) -> dict[str, Decimal]:
-    """A column of Table 7 in %, by (15) relative to DIDIM, or to IDIM."""
+    """Column of Table 7 in %: by (15), relative to DIDIM or IDIM."""
     of = (didim if denominator == "DIDIM" else idim).column("value")
     return {name: 100 * abs(change / of[name]) for name, change in compute_variations(idim, didim).items()}
 
 
 def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
-    """Cells that follow from other printed numbers, in Table 7 one value per denominator."""
+    """Cells recomputed from printed numbers; in Table 7 one value per denominator."""
     columns: dict[str, list[dict[str, Decimal]]]
     if table.number == 6:
         columns = {method: [compute_variations(*METHODS[method])] for method in table.columns}
@@ -159,7 +159,7 @@ def format_digits(value: Decimal) -> str:
 def compare_table(
     table: PublishedTable, run: tuple[str, ...] = (), cells: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 ) -> Table:
-    """Return a table as printed, beside its recomputed values and the cells of a run, by the names of rows."""
+    """Table as printed, with recomputed values and the cells of a run."""
     found = recompute_cells(table)
     printed, recomputed = table.columns, table.columns
     if table.number == 6:
@@ -185,7 +185,7 @@ def compare_table(
 
 
 def _list_notes_below(table: PublishedTable) -> list[tuple[str, ...]]:
-    """Rows printed under Tables 2 to 5: frequency, sums and residuals; each begins with its name."""
+    """Rows printed under Tables 2 to 5: frequency, sums and residuals."""
     rows = []
     if table.frequency is not None:
         for name, hertz in FlexibleJoint.frequencies(table.values).items():

@@ -137,5 +137,5 @@ def _get_torque(record: Record) -> FloatArray:
 
 
 def _filter_torque(torque: FloatArray) -> FloatArray:
-    """Filter a torque as the flexible identification does: 60 Hz, decimated by six."""
+    """Filter a torque like the flexible identification: 60 Hz, decimated by six."""
     return Filtering(cutoff=60.0).resolve(SAMPLE_TIME).decimate(torque, SAMPLE_TIME)

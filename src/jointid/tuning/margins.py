@@ -1,4 +1,4 @@
-"""Open-loop response, stability and margins of a sampled law, and the worst over the joints of an interval.
+"""Open-loop response, stability and margins of a sampled law over an interval.
 
 The loop is cut at the torque: ``L(z) = -F(z) P(z)``, F the law's response to the motor position and P the joint's,
 sampled exactly under a held and delayed torque (`models.linear.SampledDrive`). Limits and gravity that turns with the
@@ -155,7 +155,7 @@ def _square(response: ComplexArray) -> FloatArray:
 
 
 def crossover(response: ComplexArray, hertz: FloatArray) -> float:
-    """Highest frequency, Hz, at which any loop has a gain of 1; 0 if none."""
+    """Highest frequency, Hz, of unit gain over all loops; 0 if none."""
     above = np.any(np.abs(response) >= 1.0, axis=0)
     return float(hertz[np.flatnonzero(above)[-1]]) if above.any() else 0.0
 
@@ -207,7 +207,7 @@ class Interval:
     Attributes:
         joint, nominal: of the estimate, and its parameters by name.
         names: of the parameters that span the ellipsoid, factor: (names, names) from a unit ball to it, lower: bounds.
-        description: what it is, in a sentence.
+        description: the interval in a sentence.
     """
 
     joint: Joint
@@ -224,7 +224,7 @@ class Interval:
         return [dict(self.nominal) | dict(zip(self.names, map(float, row), strict=True)) for row in values]
 
     def sample(self, seed: int, law: SampledLaw) -> JointSet:
-        """Sample for a law the estimate, then the joints at the ends of every axis and random ones of the surface."""
+        """Sample the estimate, the ends of every axis and random surface points."""
         count = len(self.names)
         drawn = np.random.default_rng(seed).standard_normal((_DIRECTIONS if count else 0, count))
         drawn /= np.linalg.norm(drawn, axis=1)[:, np.newaxis]
@@ -233,7 +233,7 @@ class Interval:
 
 
 def possible_joints(estimate: Estimate, confidence: float) -> Interval:
-    """Determine the joints that an estimate allows, with a confidence of all its parameters together.
+    """Joints within an estimate's confidence ellipsoid of all parameters together.
 
     Raises:
         MethodError: the estimate has no deviations or no correlations.

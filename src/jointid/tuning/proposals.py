@@ -1,4 +1,4 @@
-"""Gains and a notch that keep margins for all joints of an interval, and feed-forward.
+"""Gains and notch with margins for every joint, and feed-forward.
 
 A loop of the same structure is designed for a rate w and a damping ratio d of the rigid joint with total inertia J
 (g the controller's torque per unit, r a transmission's ratio)::
@@ -83,7 +83,7 @@ class Tuning:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A designed loop: its controller, rate w in rad/s, damping ratio d, and the notch that was added, if any."""
+    """Designed loop: controller, rate w (rad/s), damping ratio d and optional notch."""
 
     controller: TunableController
     rate: float
@@ -119,8 +119,8 @@ class StiffestLoop:
 
     Attributes:
         joints: sampled for the controller's period and delay.
-        sample_time: of the log, the controller's where it has none of its own.
-        band: Hz, which the loop's crossover may not pass; None where it may.
+        sample_time: of the log; also the controller's, if it has no period.
+        band: upper limit of the crossover, Hz; None if unlimited.
     """
 
     joints: JointSet
@@ -130,7 +130,7 @@ class StiffestLoop:
     band: float | None
 
     def find(self, controller: TunableController, mode: float | None) -> Layout | None:
-        """Find the stiffest loop, with a notch at a mode, in Hz, if it helps."""
+        """Find the stiffest loop, with a notch at `mode` (Hz) if useful."""
         best = self._find_stiffest([(controller, None)])
         if mode is None or mode * (controller.period or self.sample_time) >= _HIGHEST:
             return best
@@ -148,7 +148,7 @@ class StiffestLoop:
         return best
 
     def _find_fastest(self, controller: TunableController, damping: float, best: Layout | None) -> float | None:
-        """Return the highest rate that keeps the margins, if stiffer than the best loop."""
+        """Highest rate that keeps the margins, if stiffer than the best loop."""
         period = controller.period or self.sample_time
         present = rate_of(controller, self.inertia) or 0.02 / period
         least = 0.0 if best is None else _BETTER * math.sqrt(best.stiffness) * damping
@@ -187,7 +187,7 @@ class Gain:
     Attributes:
         key: its name in a joint file's [controller]. formula: that gave it.
         before, after, unit: in the law's units.
-        std: standard deviation of a feed-forward, in that unit; None where nothing of it was free, and of a gain.
+        std: standard deviation of a feed-forward, in that unit; None for a gain, or if its parameters were fixed.
     """
 
     key: str
@@ -199,10 +199,10 @@ class Gain:
 
 
 def lumped_parameters(estimate: Estimate) -> dict[str, tuple[str, float, float | None]]:
-    """Return total inertia, viscous and Coulomb friction and constant force: formula, value and deviation.
+    """Total inertia, frictions and constant force: formula, value and deviation of each.
 
     Direction-dependent friction is averaged; half the difference of the Coulomb forces belongs to the constant. The
-    deviation is None where nothing was free.
+    deviation is None if all of its parameters were fixed.
     """
     sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
     law, found = estimate.settings.joint.friction, {}

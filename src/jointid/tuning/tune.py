@@ -1,4 +1,4 @@
-"""Tune a drive from an estimate: margins, gains, notch, feed-forward, and the result with its tables."""
+"""Tune a drive from an estimate: margins, gains, notch and feed-forward."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class Tuned(Documented):
 
     Attributes:
         record: its name. model: "rigid" or "flexible". transmission: on whose `side` the joint is.
-        settings: what was asked. interval: over which joints the worst is taken, in a sentence.
-        present: the loop as it is. proposed: with other gains; None where none can be proposed.
-        gains: that are proposed. notch: that is proposed with them, if one is.
+        settings: of the call. interval: joints of the worst case, in a sentence.
+        present: the present loop. proposed: with other gains; None if no proposal is possible.
+        gains: proposed. notch: proposed with them, if any.
         feedforward: of the reference.
-        notes: what the reader must know, a sentence each.
-        doubts: why joint or loop may be others, a clause each.
+        notes: remarks, a sentence each.
+        doubts: failed checks of the fit and the loop, a clause each.
     """
 
     record: str
@@ -78,7 +78,7 @@ class Tuned(Documented):
 
     @property
     def sentence(self) -> str:
-        """Sentence of the gains to set and of the margin nearest to its requirement."""
+        """Sentence: gains to set, and the margin nearest to its requirement."""
         present, asked = self.present.worst, self.settings
         gains = [f"{in_words(g.key)} from {number(g.before, 4)} to {number(g.after, 4)} {g.unit}" for g in self.gains]
         if self.notch is not None:
@@ -229,7 +229,7 @@ def _evaluate(estimate: Estimate, interval: Interval, controller: Controller, se
 
 
 def _propose(estimate: Estimate, interval: Interval, controller: Controller, settings: Tuning) -> Layout | None:
-    """Return the stiffest loop that keeps the margins; None without any, or of a law without gains to lay out."""
+    """Stiffest cascade, PD or PID that keeps the margins; None if none."""
     if not isinstance(controller, Cascade | PD):
         return None
     _, inertia, _ = lumped_parameters(estimate)["inertia"]

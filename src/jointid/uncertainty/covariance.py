@@ -1,4 +1,4 @@
-"""Influence of a residual on an estimate, and the covariances that follow from it (docs/how-it-works.md, Intervals).
+"""Covariances of an estimate from its residual (docs/how-it-works.md, Intervals).
 
 An estimate that solves ``Z' e(x) = 0``, with the sensitivities J = -de/dx of the prediction, errs by ``A n``::
 
@@ -92,7 +92,7 @@ class Covariance:
         return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
 
     def append_constants(self, count: int) -> Covariance:
-        """Return the covariance with `count` more parameters that are fixed: without deviation or correlation."""
+        """Append `count` fixed parameters, without deviation or correlation."""
         size = self.std.size
         correlation = np.eye(size + count)
         correlation[:size, :size] = self.correlation
@@ -172,7 +172,7 @@ class Influence:
 
     @cached_property
     def slopes(self) -> FloatArray:
-        """Scaled sensitivities, (rows, parameters): the same array as the instruments in least squares."""
+        """Scaled sensitivities, (rows, parameters); the scaled instruments in least squares."""
         return self.columns if self.instruments is None else self.J / self.norms
 
     @cached_property
@@ -192,11 +192,11 @@ class Influence:
         return [slice(int(end) - rows, int(end)) for end, rows in zip(np.cumsum(sizes), sizes, strict=True)]
 
     def covariance(self, meat: FloatArray) -> Covariance:
-        """Return the covariance for that of the scaled scores, S: ``(Z' J)^-1 S (J' Z)^-1``."""
+        """Covariance from S of the scaled scores: ``(Z' J)^-1 S (J' Z)^-1``."""
         return covariance_of(self.spread @ meat @ self.spread.T, self.norms)
 
     def scores_left_out(self, block: NDArray[np.intp]) -> FloatArray:
-        """Return the scores, (rows, parameters), by the leave-out residual of each block, indices (rows,)."""
+        """Scores, (rows, parameters), with the leave-out residual of each `block` index."""
         return self.columns * self.residual_left_out(block)[:, np.newaxis]
 
     def by_time(self) -> Covariance:
@@ -213,7 +213,7 @@ class Influence:
         return self.covariance(found)
 
     def residual_left_out(self, block: NDArray[np.intp]) -> FloatArray:
-        """Leave-out residual, (rows,), of each block of rows; `block`, (rows,), has the block index of each.
+        """Leave-out residual, (rows,), of each block; `block` has the index per row.
 
         ``(I - J_b S Z_b')^-1 = I + J_b (I - S Z_b' J_b)^-1 S Z_b'`` needs small inverses only.
         """
@@ -259,10 +259,10 @@ class Influence:
         return covariance_of(matrix * np.outer(factor, factor), self.norms if asked is None else 1.0)
 
     def _bands(self, part: slice, asked: FloatArray | None) -> tuple[FloatArray, ...]:
-        """Return quantities of one record by frequency band; of symmetric matrices the upper triangle, row by row.
+        """Quantities of one record by frequency band; symmetric matrices as upper triangles.
 
-        These are A E_b A', (bands, triangle), likewise of what is asked for, J' E_b J, (bands, triangle), the degrees
-        of freedom less twice what the fit takes, (bands,), and the power of the residual, (bands,).
+        These are A E_b A' and the same for `asked`, J' E_b J, all (bands, triangle), the degrees of freedom less twice
+        those of the fit, (bands,), and the power of the residual, (bands,).
         """
         rows = len(self.error[part])
         both = np.full(rows // 2 + 1, 2.0)  # half a spectrum holds a frequency for two, but the first and an even last
@@ -271,7 +271,7 @@ class Influence:
         weight = np.sqrt(both / rows)
 
         def transform(signals: FloatArray) -> FloatArray:
-            """Return half the spectra of signals, (signals, 2 frequencies), real parts beside imaginary ones."""
+            """Half-spectra of signals, (signals, 2 frequencies), real and imaginary parts interleaved."""
             columns = np.ascontiguousarray(signals[part].reshape(rows, -1).T)
             return np.asarray((weight * np.fft.rfft(columns)).view(np.float64))
 
@@ -291,7 +291,7 @@ class Influence:
         return own, wanted, each(slopes), degrees, np.add.reduceat(left[0] ** 2, 2 * first)
 
     def robust(self) -> Covariance:
-        """Return the larger of the covariances by time and by spectrum in every direction.
+        """Larger of the covariances by time and by spectrum in every direction.
 
         Each equation of one record has its own spectrum; sums over time cover their correlation.
         """
@@ -304,7 +304,7 @@ class Influence:
         return larger(*in_threads(lambda way: way(), ways))
 
     def prewhiten(self) -> Influence:
-        """Return equations of the same estimate with a white residual, where it grows with the frequency.
+        """Whiten a residual that grows with frequency; the estimate stays the same.
 
         With the autoregression F of a record's rows, ``(F^-T Z)' (F e) = Z' e``, and likewise with J: the sums of
         scores are the same, and scores nearly independent (Andrews and Monahan 1992). F has the order `bandwidth`.
@@ -325,20 +325,20 @@ class Influence:
         return found
 
     def stationary(self) -> Covariance:
-        """Covariance that noise of the error's smoothed spectrum causes in given equations, not corrected for a fit."""
+        """Covariance of given equations under the error's smoothed spectrum, without fit correction."""
         used = int(np.sum(np.any(self.columns != 0.0, axis=0)))
         spectrum, both = smoothed_spectrum(self.error, max(len(self.columns) - used, 1))
         weights = np.concatenate([spectrum[:1], both * spectrum])
         return self.covariance(sum_over_frequencies(self.columns, weights) / len(self.columns))
 
     def by_frequency(self) -> FloatArray:
-        """Return the change of the estimate by the residual of each frequency, (frequencies, parameters)."""
+        """Change of the estimate by each frequency's residual, (frequencies, parameters)."""
         columns, error = (one.reshape(self.equations, -1, *one.shape[1:]) for one in (self.columns, self.error))
         scores = 2.0 * _scores_by_frequency(columns, error)
         return np.asarray(scores @ self.spread.T / self.norms)
 
     def widen_for_bands(self, covariance: Covariance) -> Covariance:
-        """Raise the deviations to the spread of the estimate over the choice of frequency band.
+        """Raise the deviations to the estimate's spread over the choice of band.
 
         A model error changes with frequency: scores are summed over bands with equal shares of the residual.
         """
@@ -352,7 +352,7 @@ class Influence:
         return replace(covariance, std=np.maximum(covariance.std, std))
 
     def widen_for_motion(self, covariance: Covariance) -> Covariance:
-        """Widen the deviations of an estimate along a measured motion for a force in the loop.
+        """Widen the deviations for a force in the loop along measured motion.
 
         The bias is of the size of the largest partial sum of the influences over frequency (docs/how-it-works.md, T17).
         Noise on the log alone widens the deviations by a factor of 1.35 on the average.
@@ -362,7 +362,7 @@ class Influence:
 
 
 def bandwidth(rows: int) -> int:
-    """Return how many neighbouring rows may be correlated with one, ``ceil(4 (n / 100)^(2/9))``."""
+    """Number of correlated neighbouring rows, ``ceil(4 (n / 100)^(2/9))``."""
     return math.ceil(4.0 * math.pow(rows / 100, 2 / 9))
 
 
@@ -383,7 +383,7 @@ def bartlett_sum(scores: FloatArray, lags: int) -> FloatArray:
 
 
 def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArray:
-    """Return ``Z_b' J_b`` of each block, (blocks, parameters, parameters), of those of equal length together."""
+    """Products ``Z_b' J_b``, (blocks, parameters, parameters), batched over blocks of equal length."""
     lengths = np.diff(first, append=len(Z))
     found = np.empty((len(first), Z.shape[1], J.shape[1]))
     for length in np.unique(lengths):
@@ -394,10 +394,10 @@ def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArr
 
 
 def smoothed_spectrum(signal: FloatArray, degrees: int, rows: int | None = None) -> tuple[FloatArray, FloatArray]:
-    """Smoothed spectrum of a signal with `degrees` of freedom, or the sum of those of columns, and multiplicities.
+    """Smoothed spectrum per degree of freedom, summed over columns, and multiplicities.
 
-    Both are (rows // 2,), without the mean; of more `rows` than samples the signal is 0 in the others. The periodogram
-    is averaged over sqrt(rows) neighbours.
+    Both are (rows // 2,), without the mean; zeros extend the signal to `rows`. The periodogram is averaged over
+    sqrt(rows) neighbours.
     """
     from scipy.fft import rfft  # of columns, and of a length with large prime factors, in half of NumPy's time
 
@@ -422,13 +422,13 @@ def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray
 
 
 def _scores_by_frequency(J: FloatArray, error: FloatArray) -> FloatArray:
-    """Return ``J(f)* e(f)`` summed over the equations, (frequencies, parameters), for each frequency once."""
+    """``J(f)* e(f)`` summed over equations, (frequencies, parameters), each frequency once."""
     columns, spectra = np.fft.rfft(J, axis=1), np.fft.rfft(error, axis=1)
     return np.asarray(np.sum(np.real(np.conj(columns) * spectra[..., np.newaxis]), axis=0) / error.shape[1])
 
 
 def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
-    """First frequency of each band, for a number of residual degrees of freedom."""
+    """First frequency of each band of sufficient residual degrees of freedom."""
     total, first = np.concatenate([[0.0], np.cumsum(left)]), [0]
     while True:
         k = first[-1]
@@ -485,7 +485,7 @@ class Sums:
         return float(np.sqrt(self.square / self.size)) if self.size > 0 else 0.0
 
     def __add__(self, other: Sums) -> Sums:
-        """Return those of the rows of both."""
+        """Sums over the rows of both."""
         square, size, rows = self.square + other.square, self.size + other.size, self.rows + other.rows
         return Sums(self.A + other.A, self.b + other.b, square, size, rows)
 
@@ -501,7 +501,7 @@ def total(groups: Sequence[Sums]) -> Sums:
 
 
 def rows_of(sums: Sums) -> tuple[FloatArray, FloatArray]:
-    """Return the fewest rows with these sums: residual, (rows,), and derivatives, (rows, free)."""
+    """Fewest rows with these sums: residual, (rows,), and derivatives, (rows, free)."""
     scale, sizes, vectors = determine(sums.A)
     J = (vectors * np.sqrt(sizes)).T * scale
     error = vectors.T @ (sums.b / scale) / np.sqrt(sizes)
@@ -528,7 +528,7 @@ def left_out(groups: Sequence[Sums]) -> Covariance:
 
 
 def determine(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Column norms of J from A = J'J, 1 for zero columns; eigenvalues and vectors of the scaled A above rounding."""
+    """Norms of J's columns (1 if zero); significant eigenpairs of scaled ``J'J``."""
     norms = np.sqrt(np.diag(A))
     scale = np.where(norms > 0, norms, 1.0)
     values, vectors = np.linalg.eigh(A / np.outer(scale, scale))

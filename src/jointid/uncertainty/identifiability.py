@@ -27,7 +27,7 @@ _SURROUNDING = (Quantity.POSITION, Quantity.VELOCITY)  # of the initial state, n
 
 
 class Limitation(StrEnum):
-    """Limits of what a record determines."""
+    """Limits of a record's information."""
 
     INSEPARABLE = "inseparable"
     NOT_SIGNIFICANT = "not_significant"
@@ -64,7 +64,7 @@ def single(parameter: Parameter, unit: str) -> Combination:
 
 
 def sums_of(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
-    """Sums of both sides of a joint: of the frictions, by kind and direction, and of the inertias."""
+    """Sums over both sides: inertias, and frictions by kind and direction."""
     known, found = {p.name: p for p in parameters}, list[Combination]()
     for name, motor in known.items():
         side, _, quantity = name.partition("_")
@@ -90,8 +90,8 @@ class Identifiability:
 
     Attributes:
         physical: sums of both sides.
-        limitations: parameters that are known only together, and what must be positive and whose 2-sigma interval
-            holds 0; none of a good record.
+        limitations: parameters that are known only together, and positive ones whose 2-sigma interval holds 0; empty
+            for a good record.
         undetermined: names of parameters of which the record determines only combinations with others.
     """
 
@@ -147,7 +147,7 @@ def identifiability(
 
 
 def find_unseen(J: FloatArray) -> FloatArray:
-    """Return the combinations of parameters that change no row of the sensitivities, (combinations, free).
+    """Combinations of parameters that change no row of J, (combinations, free).
 
     A record that moves in one direction does not separate Coulomb friction from a constant force, for example.
 
@@ -168,14 +168,14 @@ def find_unseen(J: FloatArray) -> FloatArray:
 
 
 def find_separable(J: FloatArray) -> NDArray[np.bool_]:
-    """Return a mask of the parameters that the record separates, (free,); see `find_unseen`."""
+    """Mask of the parameters that the record separates, (free,)."""
     return np.asarray(np.all(np.abs(find_unseen(J)) <= _PART, axis=0))
 
 
 def _describe_unseen(
     unseen: Mapping[str, float], units: Mapping[str, str], assess: Callable[[Combination], Known]
 ) -> Message:
-    """Message on parameters whose changes in these proportions change nothing in the record."""
+    """Message on parameters that the record does not determine or separate."""
     names, values = list(unseen), dict[str, object](parameters=list(unseen))
     listed = join([in_words(name) for name in names])
     said = f"this record does not {'determine' if len(names) == 1 else 'separate'} {listed}"
@@ -203,7 +203,7 @@ def _describe_pair(first: Known, second: Known, correlation: float, assess: Call
 def _sum_of(
     names: Sequence[str], weight: float, unit: str, assess: Callable[[Combination], Known]
 ) -> tuple[str, dict[str, object]]:
-    """Return the sum or difference of two parameters with its interval, in words and in values."""
+    """Sum or difference of two parameters: its interval, as text and values."""
     kind = "sum" if weight > 0 else "difference"
     known = assess(Combination(kind, "", unit, {names[0]: 1.0, names[1]: weight}))
     values = {"weight": weight, "value": known.value, "std": known.std, "unit": unit}

@@ -1,4 +1,4 @@
-"""Tests of a model: whiteness of its residual, flexible against rigid, least squares against instruments.
+"""Model tests: residual whiteness, flexible against rigid, least squares against instruments.
 
 **Whiteness.** The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
 taken as that of a signal sampled at twice that frequency, white where the noise is. Its autocorrelations at lags 1 to
@@ -91,7 +91,7 @@ class Whiteness:
 
 
 def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness | None:
-    """Test the autocorrelation of a residual (see the module); None with too few rows.
+    """Test the autocorrelation of a residual; None with too few rows.
 
     Args:
         error: (rows,) filtered and decimated residual.
@@ -120,7 +120,7 @@ def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
 
 
 def fit_whitener(residual: FloatArray) -> Filter:
-    """Return the filter that makes a residual nearly white, of signals (rows,) or (rows, columns) alike.
+    """Filter that whitens a residual, for signals (rows,) or (rows, columns).
 
     It is the prediction error of an autoregressive model of order 16, by Yule and Walker, of the residual with 1 % of
     its variance added as white noise.
@@ -145,10 +145,10 @@ class BoundaryTest:
     """Test of whether a record requires the flexible model.
 
     Attributes:
-        statistic: what the extra direction takes off the sum of squares, over the variance of the remainder.
-        p_value: how often as much is found where the rigid model is true.
-        over: whose signs gave that: blocks of "time", or of "place".
-        gained: share of the sum of squares.
+        statistic: reduction of the sum of squares by the extra direction, over the variance of the remainder.
+        p_value: probability of as large a statistic under the rigid model.
+        over: blocks of the drawn signs, of "time" or of "place".
+        gained: relative reduction of the sum of squares.
     """
 
     statistic: float
@@ -158,7 +158,7 @@ class BoundaryTest:
 
     @property
     def significant(self) -> bool:
-        """True if the record asks for the flexible model, at 1 %."""
+        """True if the record requires the flexible model, at 1 %."""
         return self.p_value <= _BELIEVED
 
     def __str__(self) -> str:
@@ -228,7 +228,7 @@ def _draw_statistics(
 
 
 def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: int = 1) -> float:
-    """Return how likely so large a difference from instruments is if least squares is right (see the module).
+    """p-value of the difference between least squares and instruments.
 
     Args:
         W: (rows, parameters) the columns.

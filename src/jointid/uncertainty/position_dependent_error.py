@@ -68,8 +68,8 @@ class Repeatable:
     Attributes:
         rms: of that part, in the residual's unit; 0 where the products of different visits are negative on the whole.
         share: its share of the residual's mean square.
-        p_value: how often a residual that does not repeat would show as much; None where the record is too short, or
-            nothing is visited twice.
+        p_value: probability of as large a share without repetition; None if the record is too short or visits no
+            place twice.
     """
 
     rms: float
@@ -78,7 +78,7 @@ class Repeatable:
 
     @property
     def significant(self) -> bool:
-        """True if it is more than chance, at 5 %."""
+        """True if the repeating part is significant at 5 %."""
         return self.p_value is not None and self.p_value <= LEVEL
 
     def __str__(self) -> str:
@@ -115,7 +115,7 @@ class Uncertainty:
 
 
 def cells(position: FloatArray, velocity: FloatArray) -> Cells:
-    """Assign rows to cells of equal width, by direction and class of speed.
+    """Assign rows to cells of position, direction and class of speed.
 
     Args:
         position: (rows,) of the motor, simulated or measured.
@@ -186,8 +186,8 @@ def repeatable(error: FloatArray, where: Cells) -> Repeatable:
 def by_place(influence: Influence, where: Cells) -> Covariance:
     """Covariance for errors shared by all visits to a cell (see the module).
 
-    Smoother errors are covered too little: of 2-sigma intervals 95 % hold the truth at a length of half a cell, 88-96 %
-    at two and 80-98 % at four (on the EMPS motion, by simulation).
+    Smoother errors are covered too little. On the EMPS motion, in simulations, 95 % of the 2-sigma intervals hold the
+    truth at a length of half a cell, 88-96 % at two and 80-98 % at four.
     """
     scores = influence.scores_left_out(where.stretch)
     sums = np.zeros((_POSITIONS, int(where.family.max()) + 1, scores.shape[1]))

@@ -42,7 +42,7 @@ _TINY = 1e-30  # of a complex step, which no digit of a real value has
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileInterval:
-    """Rise of the criterion as one quantity is held away from its estimate.
+    """Rise of the criterion with one quantity held away from its estimate.
 
     Attributes:
         name, formula, unit: of the quantity.
@@ -109,7 +109,7 @@ class Reparametrised:
         return self.problem.residual(self.turn(x))
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives, (rows, free), those of `turn` by complex steps."""
+        """Residual, (rows,), and derivatives, (rows, free); those of `turn` by complex steps."""
         error, J = self.problem.linearise(self.turn(x))
         if not np.isfinite(np.vdot(J, J)):
             # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
@@ -119,10 +119,10 @@ class Reparametrised:
 
 
 def by_compliance(problem: Problem, least: float) -> Reparametrised:
-    """Return a problem with a stiffness in the compliance 1/K, in which a stiff joint is nearly linear.
+    """Express a problem's stiffness as the compliance 1/K, nearly linear when stiff.
 
-    An unidentifiable stiffness has no upper bound; its compliance has 0 in its interval. One below `least` is as good
-    as none: nothing stiffer is simulated.
+    An unidentifiable stiffness has no upper bound; its compliance has 0 in its interval. Compliances below `least`
+    are not simulated.
     """
     at, stiff = next((i, p) for i, p in enumerate(problem.free) if p.quantity is Quantity.STIFFNESS)
     lower, upper = max(1.0 / stiff.upper, least), 1.0 / stiff.lower if stiff.lower > 0 else math.inf
@@ -210,7 +210,7 @@ def profile(
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float]:
-    """Change of all parameters per unit of the quantity, and ``w' (J' J)^-1 w``; 0 if it is not visible."""
+    """Slope of all parameters by the quantity; ``w'(J'J)^-1 w``, 0 if undetermined."""
     norms = column_norms(J)
     _, sizes, directions = np.linalg.svd(J / norms, full_matrices=False)
     seen = sizes > ROUNDING * sizes[0]
@@ -230,7 +230,7 @@ def _follow(
     threshold: float,
     most: int,
 ) -> list[_Point]:
-    """Profile one side, to the threshold, to the limit within the bounds, or so many points.
+    """Profile one side to the threshold, the limit or `most` points.
 
     The root of the rise over the threshold is nearly linear in the quantity, which predicts the next point. Of a linear
     problem the end is `half` away, and `direction` is the change of the parameters per unit of the quantity.
@@ -240,7 +240,7 @@ def _follow(
     found, roots, nearer = [centre], {centre.value: -1.0}, min if half > 0 else max
 
     def root_at(value: float) -> float:
-        """Return the root of the rise with the quantity held, over that of an end, less 1."""
+        """Root of the rise relative to the threshold, less 1, at `value`."""
         if value not in roots:
             near, *others = sorted(found, key=lambda point: abs(point.value - value))
             apart = near.value - others[0].value if others else 0.0
@@ -262,7 +262,7 @@ def _follow(
 
 
 def _crossing(values: FloatArray, rise: FloatArray, threshold: float) -> float | None:
-    """Interpolate where the rise crosses the threshold; None if it does not, or there is none."""
+    """Interpolate the quantity at the threshold; None if the rise stays below."""
     above = np.flatnonzero(rise >= threshold)
     if threshold == 0.0 or not above.size:
         return None
@@ -278,7 +278,7 @@ def profile_compliance(
     covariance: Covariance,
     unit: Callable[[Parameter], str],
 ) -> ProfileInterval:
-    """Profile 1/K12, in which a stiff joint is nearly linear; arguments as of `profile`, and a joint's `unit`."""
+    """Profile 1/K12, nearly linear for a stiff joint; arguments as of `profile`."""
     at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
     by = by_compliance(problem, _LEAST / float(x[at]))
     turn = np.where(np.arange(x.size) == at, -1.0 / x[at] ** 2, 1.0)  # of 1/K by K
