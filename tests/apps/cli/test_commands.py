@@ -1,5 +1,6 @@
 """The program as a user meets it: its commands, what they write, and how they fail."""
 
+import contextlib
 import json
 import re
 from pathlib import Path
@@ -8,7 +9,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-import jointid
 import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.apps.cli.demo import FIRST_DAY, _write_robot
@@ -24,8 +24,9 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("demo") / "out"
-    assert run("demo", folder, "--quiet") == 0
+    folder = tmp_path_factory.mktemp("demo")
+    with contextlib.chdir(folder):
+        assert run("demo", ".", "--quiet") == 0
     return folder
 
 
@@ -160,12 +161,10 @@ def test_what_needs_a_record_whole_refuses_one_in_windows_before_the_joint_is_id
 def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
     demo: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import jointid.config
-
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by design")
 
-    monkeypatch.setattr(jointid.config, "load", broken)
+    monkeypatch.setattr("jointid.config.load", broken)
     assert run("identify", demo / "joint.toml") == 1
     said = capsys.readouterr().err
     assert "a fault of ours (ZeroDivisionError: by design)" in said
@@ -175,7 +174,7 @@ def test_a_failure_of_ours_is_a_sentence_and_exit_code_1(
 
 
 def test_a_demo_that_is_interrupted_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jointid, "twin", Mock(side_effect=KeyboardInterrupt), raising=False)
+    monkeypatch.setattr(ji, "twin", Mock(side_effect=KeyboardInterrupt), raising=False)
     assert run("demo", tmp_path / "new", "-q") == 130
     assert not [*tmp_path.iterdir()]
 
@@ -189,7 +188,7 @@ def test_every_command_is_documented() -> None:
 
 @pytest.mark.parametrize("raised", [ji.MethodError, ji.RecordError, np.linalg.LinAlgError])
 def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jointid, "tune", Mock(side_effect=raised("by design")))
+    monkeypatch.setattr(ji, "tune", Mock(side_effect=raised("by design")))
     estimate = Mock(**{"settings.loop.controller.limit": 1.0, "answer.trust.code": "reliable"})
     assert "by design" in str(tune_to_limit(estimate))
     estimate.answer.trust.code = "not_reliable_yet"

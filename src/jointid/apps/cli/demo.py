@@ -63,8 +63,8 @@ def demo(
         raise RecordError(f"{folder} is not empty, and a demo might replace what it holds; name another folder.")
     require_room(folder)
     listener = listen(quiet)
-    with explain(folder), TemporaryDirectory(prefix=".jointid-", dir=folder.parent) as room:
-        fresh = Path(room, folder.name)
+    with explain(folder), TemporaryDirectory(prefix=".jointid-", dir=folder.absolute().parent) as room:
+        fresh = Path(room, "demo")
         fresh.mkdir()
         listener(f"simulating {'a fleet' if fleet else 'a robot' if robot else 'an axis'}")
         if fleet:
@@ -73,9 +73,9 @@ def demo(
         else:
             name, truth = _write_robot(fresh) if robot else _write_axis(fresh)
             said = _identify(fresh, name, truth, listener)
-        if folder.exists():
-            folder.rmdir()
-        fresh.rename(folder)
+        folder.mkdir(exist_ok=True)  # it may be the folder in which the command runs, which cannot be replaced
+        for path in fresh.iterdir():
+            path.rename(folder / path.name)
     show(said)
     show(f"\nWritten to {folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     file = folder / ("campaign.toml" if fleet else "robot.toml" if robot else "joint.toml")
