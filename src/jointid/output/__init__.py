@@ -1,4 +1,4 @@
-"""Results as documents, figures, JSON and models for other programs; it only reads results."""
+"""Results as documents, figures, JSON and models for other programs."""
 
 import lazy_loader  # type: ignore[import-untyped]
 

@@ -1,4 +1,4 @@
-"""The axis as a drawing: its masses, spring and gear, with the numbers of the estimate in it."""
+"""Drawing of the axis: masses, spring and gear, with the estimate's values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _RESONANCES = {"free_free": "Resonance", "motor_locked": "antiresonance", "secon
 
 
 def resonance_sentence(estimate: Estimate) -> str:
-    """State resonance and antiresonance as the motor sees them, and N/µm of a screw; empty without a spring."""
+    """Resonance and antiresonance from motor torque, and screw stiffness; empty without spring."""
     frequencies = estimate.frequencies
     named = [(words, frequencies[name]) for name, words in _RESONANCES.items() if name in frequencies]
     stated = ", ".join(f"{words} {number(hertz, 3)} Hz" for words, hertz in named)
@@ -70,7 +70,7 @@ def axis_figure(estimate: Estimate) -> Figure:
 
 
 def write_values(axes: Axes, x: float, across: int, rows: Sequence[EstimatedParameter]) -> None:
-    """Write name, unit and value of each parameter below a column, some beside each other."""
+    """Write name, unit and value of each parameter below a drawn part."""
     for k, row in enumerate(rows):
         y, middle = -0.3 - k // across * _PAIR, x + (k % across + 0.5) * _COLUMN
         name = row.name.removeprefix("motor_").removeprefix("load_").replace("_", " ").replace("coulomb", "Coulomb")
@@ -79,13 +79,13 @@ def write_values(axes: Axes, x: float, across: int, rows: Sequence[EstimatedPara
 
 
 def _write(axes: Axes, x: float, y: float, text: str, colour: str, *, bold: bool = False, across: float = 1) -> None:
-    """Write a line about the middle of some columns, smaller where it is long."""
+    """Write a line centred on some columns, smaller if it is long."""
     size = _POINTS * min(1.0, across * _LETTERS / len(text))
     axes.text(x, y, text, ha="center", fontsize=size, color=colour, weight="bold" if bold else "normal")
 
 
 def draw_part(axes: Axes, x: float, wide: float, name: str) -> None:
-    """Draw a mass on its friction, or without a name a spring over a damper between two masses."""
+    """Draw a mass on its friction; without a name, spring and damper."""
     if name:
         low, high = x + 0.08, x + wide - 0.08
         axes.fill([low, high, high, low], [0.0, 0.0, _BOX, _BOX], edgecolor=_SPRING, facecolor=_MASS)

@@ -1,4 +1,4 @@
-"""Figures of an estimate, a validation and a robot: functions that draw on `Axes`, and figures of these.
+"""Figures of an estimate, a validation and a robot, and their panels.
 
 A figure that cannot be drawn is refused by a `RecordError` that says why; `save` writes one, the same bytes each time.
 """
@@ -56,13 +56,13 @@ class AxisSignals:
     Attributes:
         name: of the axis; empty if there is only one.
         unit, length: of the signal, and of the position.
-        method: that predicts it.
-        gear: on whose side the signal is.
+        method: of the prediction.
+        gear: transmission, on whose `side` the signal is.
         time, measured, predicted: (samples,).
         compared: (samples,) False at samples that are not compared.
         relative_error: norm of the error over that of the measured signal.
         position, velocity: (samples,) of the motor; None if they are unknown.
-        computed: of what the signal is computed, as " computed from the position"; empty of a logged one.
+        computed: source of a computed signal, as " computed from the position"; empty for a logged one.
     """
 
     name: str
@@ -152,7 +152,7 @@ def torque_word(unit: str) -> str:
 
 
 def draw_torque(axes: Axes, axis: AxisSignals, part: slice = slice(None), *, gaps: bool = False) -> None:
-    """Draw the measured and the predicted signal over time; with `gaps` only samples that are compared."""
+    """Draw measured and predicted signals; with `gaps`, only the compared samples."""
     kept = np.where(axis.compared, 1.0, np.nan) if gaps else np.ones(axis.time.size)
     _compare(axes, axis, axis.time[part], (kept * axis.measured)[part], (kept * axis.predicted)[part])
     axes.set_ylabel(axis.label)
@@ -171,9 +171,9 @@ def _compare(axes: Axes, axis: AxisSignals, x: FloatArray, measured: FloatArray,
 
 @styled
 def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
-    """Draw the measured and the predicted signal of each axis, and their difference, over time.
+    """Draw measured and predicted signals and their difference over time.
 
-    Of one axis its liveliest part and the motion are panels, too.
+    A single axis also has panels of its liveliest part and its motion.
     """
     if len(axes) > 1:
         figure, drawn = panels((*(230,) * (len(axes) - 1), 255), title=title, share_x=True)
@@ -225,13 +225,13 @@ def residual_figure(axes: Sequence[AxisSignals]) -> Figure:
 
 
 def cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> None:
-    """Draw points, and their means over cells of x for each choice of samples.
+    """Draw points, and cell means over x for each choice of samples.
 
     Args:
         axes: of the panel.
         x: (samples,) of the error.
         error: (samples,).
-        of: which samples have a mean of their own, by its label, (samples,).
+        of: masks of the samples with a mean of their own, (samples,), by label.
     """
     size, every = 3.0 if x.size < _SPARSE else 1.0, max(-(-x.size // _POINTS), 1)
     axes.plot(
@@ -253,7 +253,7 @@ def cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray
 
 @styled
 def spectra_figure(axes: Sequence[AxisSignals], cutoff: float | None, modes: Mapping[str, float]) -> Figure:
-    """Draw the spectra of each axis, with the end of the filter's band and the modes; of a robot up to that end."""
+    """Draw spectra of each axis, with the filter's cut-off and modes."""
     figure, drawn = panels([360 if len(axes) == 1 else 230] * len(axes), min(len(axes), 2))
     for place, axis in zip(drawn, axes, strict=True):
         spectra(place, axis, _BEYOND * (cutoff or math.inf) if len(axes) > 1 else math.inf)
@@ -264,7 +264,7 @@ def spectra_figure(axes: Sequence[AxisSignals], cutoff: float | None, modes: Map
 
 
 def spectra(axes: Axes, axis: AxisSignals, highest: float = math.inf) -> None:
-    """Draw the amplitude spectra of the samples between the ends that are left out, up to a frequency in Hz.
+    """Draw amplitude spectra of the compared samples, up to `highest` (Hz).
 
     Raises:
         RecordError: the record is too short.
@@ -280,7 +280,7 @@ def spectra(axes: Axes, axis: AxisSignals, highest: float = math.inf) -> None:
 
 
 def mark_modes(axes: Axes, modes: Mapping[str, float]) -> int:
-    """Mark the modes below the highest frequency of a panel, and return how many these are."""
+    """Mark modes below a panel's highest frequency; return their number."""
     highest = axes.get_xlim()[1]
     seen = sorted((hertz, name) for name, hertz in modes.items() if hertz < highest)
     for row, (hertz, name) in enumerate(seen):
@@ -325,7 +325,7 @@ def profiles_figure(estimate: Estimate, found: Profiles) -> Figure:
 
 
 def torque(answer: Estimate | Validation) -> Figure:
-    """Return the measured and the predicted torque over time, and their difference; of a checked robot all joints'."""
+    """Figure of measured and predicted torque over time, with their difference."""
     if isinstance(answer, Validation):
         title, axes = f"{answer.record}: {answer.test} test", AxisSignals.of_validation(answer)
     elif answer.robot is not None and isinstance(answer.diagnosis, Diagnosis):
@@ -355,7 +355,7 @@ class Plots:
         return residual_figure(AxisSignals.of_validation(validate(self.estimate, record)))
 
     def spectrum(self) -> Figure:
-        """Return the amplitude spectra of measured and predicted torque, and of their difference.
+        """Amplitude spectra of measured and predicted torque, and of their difference.
 
         Raises:
             RecordError: the record is too short.
@@ -381,7 +381,7 @@ class Plots:
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure; the suffix chooses PNG, SVG or PDF. The same answer gives the same bytes.
+    """Write a figure, reproducibly, as PNG, SVG or PDF by its suffix.
 
     Raises:
         RecordError: another suffix, or the file cannot be written.
@@ -393,6 +393,6 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def require_format(path: Path | None, formats: Sequence[str] = FORMATS) -> None:
-    """Raise a `RecordError` if nothing of these formats can be saved under that name; None is nothing to save."""
+    """Raise `RecordError` if the suffix is not in `formats`; None passes."""
     if path is not None and path.suffix.lower() not in formats:
         raise RecordError(f'It is saved as {" or ".join(formats)}; received "{path.name}": change its suffix.')

@@ -1,6 +1,6 @@
-"""Results as JSON, their fields by name (`result.fields`), and estimates back as far as a later command needs them.
+"""Results as JSON (`result.fields`), and estimates read back for later commands.
 
-Every document has `schema`, the class of its result with the number of this form, and `version`, that of the program.
+Every document has `schema`, the result's class with the number of the format, and the program's `version`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _REMEDY = "give what identify --json or report --html wrote"
 
 
 def to_dict(result: object) -> Json:
-    """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
+    """Convert a result to a dict with `schema`, as `--json` writes it.
 
     Args:
         result: of `identify`, `validate`, `compare`, `diagnose`, `tune`, `learn_controller`, `inspect`.
@@ -72,7 +72,7 @@ def to_dict(result: object) -> Json:
 
 
 def simulation_answer(simulation: Simulation, record: str, values: Mapping[str, object]) -> Json:
-    """Return the document of a simulation of a record, without its signals, and with other values."""
+    """JSON document of a record's simulation, without signals, with other values."""
     return {
         "schema": "jointid.Simulation/2",
         "version": __version__,
@@ -99,14 +99,14 @@ def _refuse_damage(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def load_estimate(path: str | Path, system: File | System) -> Estimate:
-    """Return the estimate of a joint or a robot from the file that keeps it.
+    """Load the estimate of a joint or a robot from a file.
 
     It predicts, is compared, validated, reported and exported as when it was identified. The measured and predicted
     torque, and the tests of them, are not in the file.
 
     Args:
-        path: what `Estimate.save`, `identify --json` or `report --html` wrote.
-        system: what was identified: a joint file or a robot file from `load`, or a joint or a robot, alone, under its
+        path: file of `Estimate.save`, `identify --json` or `report --html`.
+        system: the identified system: a joint file or a robot file from `load`, or a joint or a robot, alone, under its
             controllers, or along the motion of its motor. Geometry is not in the file of an estimate; that of the robot
             must give the sums of parameters that the file states.
 
@@ -153,7 +153,7 @@ def _fits(stated: Any, own: Any) -> bool:
 
 
 def read_report(path: str | os.PathLike[str]) -> Json:
-    """Return the document of an estimate: from its JSON or that of a report, or from the page of a report.
+    """Read the document of an estimate from JSON or a report's page.
 
     Raises:
         RecordError: the file cannot be read, or holds no estimate.
@@ -180,7 +180,7 @@ def read_report(path: str | os.PathLike[str]) -> Json:
 
 
 def key_of(file: File, records: Sequence[Path], axis: str | None, changes: Sequence[str], window: float | None) -> str:
-    """Return the SHA-256 of all that an estimate follows from: the files, what changes them, and this program."""
+    """SHA-256 of all inputs of an estimate: files, changes and this program."""
     model, cut = file.model_path, str(file.source)  # that of a part of a log is another than its file's
     models = [] if model is None else sorted(model.parent.glob(f"*{model.suffix}"))  # which may include each other
     said = [file.text, cut, file.method.name, axis, [*changes], window, digest(*records, *models), _digest_program()]
@@ -193,7 +193,7 @@ def _digest_program() -> str:
 
 
 def recall(path: Path, file: File, key: str) -> Estimate | None:
-    """Return the estimate that was kept with a key; a file that is damaged, or another one, counts for nothing."""
+    """Estimate kept with a key; None for a damaged or different file."""
     with contextlib.suppress(RecordError):
         answer = read_report(path)
         if answer.get("key") == key:
@@ -205,7 +205,7 @@ def recall(path: Path, file: File, key: str) -> Estimate | None:
 
 
 def keep(path: Path, key: str, estimate: Estimate) -> None:
-    """Keep an estimate with its key, and never over a file that was not kept; raise a `RecordError` otherwise."""
+    """Keep an estimate with its key; refuse to overwrite other files."""
     if os.path.lexists(path) and "key" not in read_report(path):
         raise RecordError(f"{path} is an answer that was written there; move it.")
     more = {"key": key, "x": plain(estimate.x), "diagnosis": plain(estimate.diagnosis, whole=True)}

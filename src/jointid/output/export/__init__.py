@@ -1,4 +1,4 @@
-"""The verb: an estimate in another tool's language, and what that language loses of it."""
+"""`export`: an estimate in another tool's language, and the losses."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Export:
     Attributes:
         format: name of the language.
         content: of the file.
-        lost: what the language does not hold of the joint, a sentence for each.
+        lost: parts of the joint that the language does not hold, a sentence each.
         note: how well the bodies of a robot fit its estimate; empty otherwise.
     """
 
@@ -59,11 +59,11 @@ class Export:
 
     @property
     def text(self) -> str:
-        """The content of a file of text."""
+        """Content of a text file."""
         return self.content.decode()
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file, text in UTF-8; a file that is there is replaced.
+        """Write the file, text in UTF-8, over an existing one.
 
         Raises:
             RecordError: the file cannot be written.
@@ -153,7 +153,7 @@ def export(
 
 
 def find_language(name: str) -> str:
-    """Return the name of a language from that or from the suffix of its files, in any case.
+    """Name of a language, from its name or file suffix, in any case.
 
     Raises:
         MethodError: there is none.

@@ -1,7 +1,7 @@
-"""Actuators of simulators: a joint as a rotor's inertia with friction, under its law of position and velocity.
+"""Simulator actuators: a joint's rotor inertia and friction under its PD law.
 
-Isaac Lab and mjlab have the link as a body of their own, and no spring in series. They take the same of a joint and of
-each joint of a robot.
+Isaac Lab and mjlab model the link as a body of its own, without a spring in series. A joint, and each joint of a robot,
+has one actuator.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ by which commands are late."""
 
 
 def isaac_lab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[str]]:
-    """Return a dict of actuators of Isaac Lab as a Python file, and its losses."""
+    """Python file with a dict of Isaac Lab actuators, and its losses."""
 
     def configure(one: Body, law: PDLaw, force: float, steps: int) -> tuple[str, dict[str, Any]]:
         keys: dict[str, Any] = {
@@ -49,7 +49,7 @@ def isaac_lab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[s
 
 
 def mjlab(model: Model, *, timestep: float = _TIMESTEP) -> tuple[str, list[str]]:
-    """Return a tuple of actuators of mjlab as a Python file, and its losses."""
+    """Python file with a tuple of mjlab actuators, and its losses."""
 
     def configure(one: Body, law: PDLaw, force: float, steps: int) -> tuple[str, dict[str, Any]]:
         del force
@@ -74,15 +74,15 @@ def _write(
     *,
     keyed: bool,
 ) -> tuple[str, list[str]]:
-    """Return a Python file that builds a configuration of each joint, and no more; and the losses.
+    """Python file of one actuator configuration per joint, and its losses.
 
     Args:
         model: a joint or a robot.
-        timestep: of the physics in s, of which a delay is a number.
-        configure: of a joint.
-        module: that the configurations come from.
+        timestep: of the physics, s; a delay is a number of steps.
+        configure: makes the configuration of a joint.
+        module: of the configurations.
         rise: the loss where friction rises towards standstill.
-        keyed: whether it is a dict by the joints' names, or a tuple.
+        keyed: True for a dict by joint name, False for a tuple.
 
     Raises:
         MethodError: the time step is out of range, or no such actuator can have these numbers.

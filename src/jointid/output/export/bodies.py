@@ -1,9 +1,9 @@
-"""Bodies on joints, as simulators have them: of a robot's links, or of a joint's masses as a robot of one link.
+"""Bodies on joints for simulators: a robot's links, or a joint's masses.
 
-An identification knows inertias about, or masses along, an axis. A body has more, which does not move the joint: a mass
-for an inertia, where its centre is, inertias about the other axes. They are filled in so that what is known comes out
-exactly. A joint that turns does so about -y, which lifts a body that lies along x; one that slides does so along x,
-where weight does nothing.
+An identification determines the inertia about an axis, or the mass along it. A body has further quantities: its mass,
+the place of its centre, and inertias about other axes. They are chosen so that the identified values are exact. A
+revolute joint turns about -y, which lifts a body that lies along x. A prismatic joint slides along x, where weight has
+no effect.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Model:
     whole: Robot | None = None
 
     def robot(self, joint: str = "joint", *, rigid: bool = False) -> Robot:
-        """Return the robot, or the joint as one of one link, by that name; `rigid`: both its masses as one body.
+        """The robot, or the joint as one link; `rigid` joins both masses.
 
         Raises:
             MethodError: no joint of bodies can have these numbers.
@@ -83,13 +83,13 @@ class Model:
         return _robot_of_joint(self.alone, joint, rigid=rigid)
 
     def lost(self, *holds: str) -> list[str]:
-        """Return a sentence on each part that a language does not hold, see `JointModel.lost`."""
+        """Sentences on the parts a language does not hold, see `JointModel.lost`."""
         if self.alone is not None:
             return self.alone.lost(*holds)
         return [*losses_of_drives(self.robot(), springs="spring" in holds)]
 
     def remarks(self, lost: Iterable[str], *, bodies: bool = True) -> list[str]:
-        """Return the lines of a comment, see `JointModel.remarks`; `bodies` says what of these is chosen."""
+        """Lines of a comment, see `JointModel.remarks`; `bodies` adds what is chosen."""
         if self.alone is None:
             head = f"{self.robot().name}: a robot, written by jointid {__version__}; all numbers are behind the gears"
             return comments([head], lost)
@@ -120,7 +120,7 @@ def _robot_of_joint(model: JointModel, name: str, *, rigid: bool) -> Robot:
 
 
 def _moment(model: JointModel) -> tuple[float, float]:
-    """Return mass times the centre (X, Z) of a link at the zero of the position; 0 where no body weighs so.
+    """First moment (X, Z) of a link at position 0, or zeros.
 
     A link that turns has ``gMX = m g X`` and ``gMY = -m g Z``.
     """
@@ -131,7 +131,7 @@ def _moment(model: JointModel) -> tuple[float, float]:
 
 
 def solid_of(kind: Kind, inertia: float, moment: tuple[float, float] = (0.0, 0.0)) -> MassProperties:
-    """Return a body with an inertia, and with mass times centre (X, Z).
+    """Body with a given inertia and first moment (X, Z).
 
     Only these are known: the mass is chosen so that the centre's own share of the inertia is at most half.
     """
@@ -144,7 +144,7 @@ def solid_of(kind: Kind, inertia: float, moment: tuple[float, float] = (0.0, 0.0
 
 
 def robot_bodies(robot: Robot, *, springs: bool = False) -> list[Body]:
-    """Return the links of a robot; with springs in series, links behind them have no rotor and their own friction."""
+    """Links of a robot; behind `springs`, without rotor and with own friction."""
     found = []
     for link, joint in zip(robot.links, robot.joints, strict=True):
         solid = mass_properties(link.inertial) if link.inertial[0] > 0 else None
@@ -156,14 +156,14 @@ def robot_bodies(robot: Robot, *, springs: bool = False) -> list[Body]:
 
 
 def friction_of_sides(joint: RobotJoint) -> FloatArray:
-    """Return viscous and Coulomb friction of each side, (sides, 2), the mean of both directions."""
+    """Viscous and Coulomb friction of each side, (sides, 2), averaged over directions."""
     sides = [""] if joint.spring is None else ["motor_", "load_"]
     each = np.array([joint.law.directions(joint.values, side) for side in sides])
     return np.asarray(0.5 * np.sum(each.reshape(-1, 2, 2), axis=2))
 
 
 def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
-    """Return a robot to write, and a note on it: of an estimate bodies near the nominal ones that fit it.
+    """Robot to export (an estimate's bodies near the nominal ones), and note.
 
     Raises:
         MethodError: the search of the estimate did not settle, no bodies fit it, or no body can have a link's inertial
@@ -193,13 +193,13 @@ def read_robot_model(model: Robot | Estimate) -> tuple[Robot, str]:
 
 
 def require_timestep(timestep: float | None) -> None:
-    """Raise a `MethodError` if a time step is not positive, or too long."""
+    """Refuse a time step outside 0 to 1 s; raise `MethodError`."""
     if timestep is not None and not 0 < timestep < 1:
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
 
 
 def losses_of_drives(robot: Robot, *, springs: bool) -> Iterator[str]:
-    """Yield the losses of the drives in a language that has springs in series, or not."""
+    """Yield losses of the drives, in a language with springs or without."""
     if any(joint.offset for joint in robot.joints):
         yield "the constant parts of the motors' torques"
     if uneven := [joint.name for joint in robot.joints if joint.law.two_ways]:
@@ -223,7 +223,7 @@ def triple(values: Iterable[float] | FloatArray) -> str:
 
 
 def format_xml(root: ET.Element, lines: Iterable[str]) -> str:
-    """Return XML text, with lines as comments at the head of its root: no two hyphens in a row, and none at an end."""
+    """Format XML, with lines as comments without double hyphens at its head."""
     for place, line in enumerate(lines):
         comment = re.sub(r"-(?=-)", "- ", line).removesuffix("-").rstrip()
         root.insert(place, ET.Comment(f" {comment} "))

@@ -1,4 +1,4 @@
-"""The joint file with the identified values filled in: what `identify` and `simulate` read again."""
+"""Joint file with identified values, as `identify` and `simulate` read it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,13 @@ def joint_file(
     values: Literal["start", "fixed"] = "start",
     folder: Path | None = None,
 ) -> tuple[str, list[str]]:
-    """Return the joint file of an estimate with its values, and a sentence for each value that it does not have.
+    """Joint file of an estimate, and a sentence per missing value.
 
     Args:
         model: the joint.
         file: the joint file it was identified with; its text, comments too, is kept but for [parameters].
-        values: "start": where the next search begins; "fixed": what is kept.
-        folder: where it will stand, from which the paths of its records lead to the same files; the same folder where
-            None.
+        values: "start", for the next search, or "fixed".
+        folder: where it will stand; the paths of its records are changed accordingly. None: the same folder.
 
     Raises:
         MethodError: there are no such values, there is no joint file to fill in, or it has its numbers on the other

@@ -1,4 +1,4 @@
-"""Estimate of a joint for the exports, on either side of its transmission, and what each language loses.
+"""Estimate of a joint for exports, on either side, and the losses.
 
 A controller becomes the law of a simulator's actuator: ``tau = kp (q_des - q) + kd (dq_des - dq) + tau_ff``.
 
@@ -83,9 +83,9 @@ class PDLaw:
 
 
 def pd_law(controller: Controller | None) -> PDLaw | None:
-    """Return a controller as a law of position and velocity, in the joint's torque; None where it is none.
+    """Convert a controller to a PD law in joint torque, or None.
 
-    A cascade without integral is one: ``kp`` is the product of its two gains, and ``kd`` that of its velocity loop.
+    A cascade without integral is one: ``kp`` is the product of its gains, ``kd`` the gain of its velocity loop.
     """
     if not isinstance(controller, Cascade | PD):
         return None
@@ -113,7 +113,7 @@ def pd_law(controller: Controller | None) -> PDLaw | None:
 
 
 def in_steps(seconds: float, step: float) -> tuple[int, list[str]]:
-    """Return a delay in whole simulation steps, and the remainder, both in s."""
+    """Number of whole simulation steps of a delay, and losses by rounding."""
     steps = round(seconds / step)
     if abs(steps * step - seconds) <= 1e-9:
         return steps, []
@@ -125,13 +125,13 @@ class JointModel:
     """The parameters of a joint, all on one side of its transmission.
 
     Attributes:
-        name: what the joint is called.
+        name: of the joint.
         estimate: of the joint.
-        kind: how the side moves that the numbers are of.
-        side: which side that is; None without a transmission.
+        kind: motion of this side.
+        side: of the transmission; None without one.
         parameters: of the joint, in its order.
-        gravity: of the joint, as this side sees it.
-        law: of position and velocity, on this side; None where none is known.
+        gravity: of the joint, on this side.
+        law: of position and velocity, on this side; None if unknown.
     """
 
     name: str
@@ -144,7 +144,7 @@ class JointModel:
 
     @classmethod
     def of(cls, estimate: Estimate, name: str, controller: Controller | None = None) -> JointModel:
-        """Return the model on the identified side, with the identified numbers of the controller.
+        """Model on the identified side, with identified values of the controller.
 
         Raises:
             MethodError: each of several records has parameters of its own.
@@ -161,7 +161,7 @@ class JointModel:
 
     @property
     def joint(self) -> Joint:
-        """The model, as it was identified."""
+        """The identified joint."""
         return self.estimate.settings.joint
 
     @property
@@ -177,7 +177,7 @@ class JointModel:
 
     @property
     def gear(self) -> float:
-        """The factor from the motor's own torque to this side: 1 without a transmission."""
+        """Ratio of torque on this side to motor torque; 1 without transmission."""
         transmission = self.joint.transmission
         return 1.0 if transmission is None or self.side != "load" else transmission.motor_per_load
 
@@ -198,7 +198,7 @@ class JointModel:
 
     @property
     def masses(self) -> dict[str, Mass]:
-        """The motor and, where the joint is flexible, the load, by these names.
+        """Masses by name: motor and, of a flexible joint, load.
 
         Raises:
             MethodError: a value is refused, or no joint can have it.
@@ -220,7 +220,7 @@ class JointModel:
 
     @property
     def mode(self) -> float:
-        """Frequency in Hz at which motor and load swing against each other, on the first stiffness of the spring."""
+        """Free-free frequency, Hz, of motor against load at the spring's first stiffness."""
         return FlexibleJoint.frequencies(self.values)["free_free"]
 
     @property
@@ -230,12 +230,12 @@ class JointModel:
 
     @property
     def turns(self) -> float:
-        """Radians that the weight of a link turns by, per unit of this position; 0 without such a weight."""
+        """Rotation of the link's weight per unit position, rad; 0 without weight."""
         _, cos, sin, _ = self.weight
         return self.gravity.angle if self.gravity is not None and (cos or sin) else 0.0
 
     def on(self, side: Side | None) -> JointModel:
-        """Return the same joint with its numbers on that side of its transmission; None leaves them where they are.
+        """Convert the numbers to a side of the transmission; None changes nothing.
 
         Raises:
             MethodError: there is no transmission, so there is only one side.
@@ -257,7 +257,7 @@ class JointModel:
         return replace(self, kind=kind, side=side, parameters=parameters, gravity=gravity, law=law)
 
     def lost(self, *holds: str) -> list[str]:
-        """Return a sentence on each part beside inertia and viscous friction that a language does not hold."""
+        """Sentences on parts, beyond inertia and viscous friction, absent in a language."""
         joint, masses, (steady, _, _, rate) = self.joint, self.masses, self.weight
         found: list[tuple[str, object, str]] = []  # what it is, whether the joint has it, and the loss
         if isinstance(joint, FlexibleJoint):
@@ -291,7 +291,7 @@ class JointModel:
         return [said for part, there, said in found if there and part not in holds]
 
     def remarks(self, lost: Iterable[str]) -> list[str]:
-        """Return the lines of a comment: what it is, its source, every parameter with 2 sigma, what is lost."""
+        """Comment lines: model, source, every parameter with 2 sigma, and losses."""
         data, transmission = self.estimate.data, self.joint.transmission
         known = ", ".join(filter(None, data.fingerprints))
         lines = [
@@ -309,7 +309,7 @@ class JointModel:
 def on_other_side(
     parameters: Sequence[EstimatedParameter], gear: Transmission, torque_unit: str
 ) -> tuple[EstimatedParameter, ...]:
-    """Return parameters, in a unit of torque, as they are on the other side of a transmission, in the same order."""
+    """Convert parameters to the other side of a transmission, in their order."""
     here, found = {p.name: p for p in parameters}, list[EstimatedParameter]()
     for p in parameters:
         name, unit, factor = cross(gear, p.name, p.unit, torque_unit)
@@ -322,7 +322,7 @@ def on_other_side(
 
 
 def cross(gear: Transmission, name: str, unit: str, torque_unit: str) -> tuple[str, str, float]:
-    """Return name, unit and factor of a parameter on the other side, from those on the identified one.
+    """Name, unit and factor of a parameter on the transmission's other side.
 
     The motor's ``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load, with its ratio r::
 
@@ -350,17 +350,17 @@ def cross(gear: Transmission, name: str, unit: str, torque_unit: str) -> tuple[s
 
 
 def comments(lines: Iterable[str], lost: Iterable[str]) -> list[str]:
-    """Return lines, and one for each loss, printable and short: whoever named a record writes no other program."""
+    """Shorten lines and losses to safe printable comments, one line each."""
     return [text.short(line, _LONGEST) for line in (*lines, *(f"Lost: {sentence}" for sentence in lost))]
 
 
 def identifier(wanted: str) -> str:
-    """Return a name of letters, digits and _ of ASCII alone; "joint" where nothing is left."""
+    """ASCII identifier of letters, digits and _; "joint" if empty."""
     return re.sub(r"\W+", "_", wanted, flags=re.ASCII).strip("_") or "joint"
 
 
 def number(value: float) -> str:
-    """Return a number with all its digits, as every one of the languages reads it."""
+    """Number with all its digits, readable in all of the languages."""
     return repr(float(value) + 0.0)  # of 0 there is no negative
 
 

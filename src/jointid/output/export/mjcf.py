@@ -1,4 +1,4 @@
-"""MJCF, MuJoCo's XML: bodies with springs in series, friction, and the laws of controllers.
+"""MJCF, MuJoCo's XML: bodies, springs in series, friction and control laws.
 
 The motor of a joint with a spring is a body beside the link, with the spring as a tendon between their joints. The
 `stiffness` of a MuJoCo joint is a spring between a body and its parent, parallel to the actuator. A joint in series
@@ -111,7 +111,7 @@ def _step(alone: JointModel, joint: RobotJoint) -> float:
 
 
 def _pieces(joint: RobotJoint) -> Sequence[Piece]:
-    """Return one side of the spring in pieces; none of a rigid joint.
+    """Pieces of the spring for positive deflection; none of a rigid joint.
 
     Raises:
         MethodError: a piece has no stiffness and never ends, or ends before it begins.
@@ -131,7 +131,7 @@ def _pieces(joint: RobotJoint) -> Sequence[Piece]:
 
 
 def _motor_of(body: Body, joint: RobotJoint, alone: JointModel | None) -> Body:
-    """Return the motor of a joint with a spring as a body beside its link."""
+    """Motor of a flexible joint, as a body beside its link."""
     name, solid, inertia = f"{joint.name}_motor", _NOTHING, joint.rotor_inertia
     if alone is not None:
         name, solid, inertia = "motor", solid_of(alone.kind, _SMALL * inertia), (1 - _SMALL) * inertia
@@ -140,7 +140,7 @@ def _motor_of(body: Body, joint: RobotJoint, alone: JointModel | None) -> Body:
 
 
 def _add_body(parent: ET.Element, body: Body, *, hard: bool) -> ET.Element:
-    """Add a body with its one joint, which holds as hard as MuJoCo solves it if `hard`."""
+    """Add a body with one joint; `hard` sets MuJoCo's hardest constraints."""
     link, solid = body.link, body.solid
     place = {"pos": triple(link.origin), "xyaxes": triple(link.rotation[:, :2].T)}
     element = ET.SubElement(parent, "body", {"name": link.name, **place})
@@ -154,10 +154,10 @@ def _add_body(parent: ET.Element, body: Body, *, hard: bool) -> ET.Element:
 
 
 def _add_spring(tendons: ET.Element, name: str, motor: str, joint: RobotJoint) -> None:
-    """Add the spring between motor and link as tendons beside each other.
+    """Add the spring between motor and link as parallel tendons.
 
-    A tendon does not pull within its `springlength`: one that begins with each piece of a spring, as stiff as the piece
-    is more than the one before, makes all of them.
+    A tendon does not pull within its `springlength`. Each piece of a spring has a tendon that begins at its deflection
+    and adds its increase of stiffness.
     """
     assert joint.spring is not None
     before = 0.0
@@ -187,7 +187,7 @@ def _add_servo(
     step: float,
     alone: JointModel | None,
 ) -> list[str]:
-    """Add the actuators of a motor's body, in a simulation with a step in s, and return a sentence for each loss.
+    """Add actuators of a motor's body; return the losses (`step` in s).
 
     Raises:
         MethodError: there is no law for this control.
@@ -224,14 +224,14 @@ def _add_servo(
 
 
 def _constants(model: JointModel) -> dict[str, tuple[float, float]]:
-    """Return the constant force on each mass, and how it grows with the position."""
+    """Constant force on each mass, and its increase with position."""
     forces, (constant, _, _, rate) = {name: (mass.force, 0.0) for name, mass in model.masses.items()}, model.weight
     carried = [*forces][-1]
     return forces | {carried: (forces[carried][0] + constant, rate)}
 
 
 def _add_constants(drive: ET.Element, sensors: ET.Element, model: JointModel) -> None:
-    """Add the constant forces of a joint alone, and the sensors of its masses."""
+    """Add constant forces of a single joint, and sensors of its masses."""
     for joint, (constant, rate) in _constants(model).items():
         if constant or rate:
             affine = {"gaintype": "fixed", "gainprm": "0", "biastype": "affine"}
@@ -242,7 +242,7 @@ def _add_constants(drive: ET.Element, sensors: ET.Element, model: JointModel) ->
 
 
 def _how_to_drive(model: JointModel, control: Control) -> Iterator[str]:
-    """Yield the remarks on how to drive a model of MuJoCo and to build it in."""
+    """Yield remarks on how to drive and include a MuJoCo model."""
     transmission, position = model.joint.transmission, POSITION_UNIT[model.kind]
     if control == "pd":
         yield f"Controls: position in {position}, velocity in {position}/s, and torque in {model.torque_unit} beside."

@@ -1,4 +1,4 @@
-"""The linear part of a joint as a state space, continuous and sampled: for python-control, and in .mat files.
+"""Linear part of a joint as state space, for python-control and MATLAB.
 
 With the motor's position and velocity, and the load's, as states and the torque tau as input::
 
@@ -6,8 +6,8 @@ With the motor's position and velocity, and the load's, as states and the torque
     ZZ2 a12 =     - Fv2 v12 + K12 (q1 - q12) + F12 (v1 - v12) - rate q12
 
 `rate` is of a spring that carries the load (`models.position_forces`). A rigid joint has the first line alone, without
-the spring. What is not linear, Coulomb friction and a weight that turns, is not in it, nor what is constant: it
-describes motion that does not reverse, about a steady one, less the constant forces.
+the spring. Coulomb friction, a weight that turns and constant forces are left out: it describes motion that does not
+reverse, about a steady one.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _HEADER = 116  # bytes of text at the head of a .mat file, where SciPy writes th
 
 
 def linear_part(model: JointModel, period: float | None = None, delay: float = 0.0) -> dict[str, Any]:
-    """Return the linear part of a joint, from the torque on its side to every position and velocity.
+    """Linear part of a joint, from torque to positions and velocities.
 
     It has the matrices of ``x' = A x + B u, y = C x + D u`` and the names of its `states` and `outputs`.
     With a period, in s, it is sampled with a zero-order hold on the torque, exact at the samples (`models.linear`),
-    which acts after the delay, in s. Each torque that is still on its way is a state, ``torque_1`` the newest.
+    which acts after the delay, in s. Each delayed torque is a state, ``torque_1`` the newest.
 
     Raises:
         MethodError: a value is refused, no joint can have it, the spring is not linear, or a time is out of range.
@@ -73,13 +73,13 @@ def linear_part(model: JointModel, period: float | None = None, delay: float = 0
 def state_space(
     estimate: Estimate, *, side: Side | None = None, period: float | None = None, delay: float = 0.0
 ) -> Any:
-    """Return the linear part of a joint as `control.StateSpace`: from torque to positions and velocities.
+    """Linear part as `control.StateSpace`, from torque to positions and velocities.
 
     Args:
         estimate: of a joint, see `export`.
-        side: of a transmission, whose torque and motion; without it the side that was identified.
+        side: of a transmission, for torque and motion; by default the identified side.
         period: s, to sample it with a zero-order hold on the torque; without it the system is continuous.
-        delay: s, from a sample of the torque to its effect. Each torque that is on its way is a state.
+        delay: s, from a sample of the torque to its effect. Each delayed torque is a state.
 
     Raises:
         MethodError: a value is refused, no joint can have it, there is no such side, or a time is out of range.
@@ -94,9 +94,9 @@ def state_space(
 def state_space_file(
     model: Model, *, period: float | None = None, delay: float | None = None
 ) -> tuple[bytes, list[str]]:
-    """Return a .mat file with the state space, continuous and sampled; and its losses.
+    """Bytes of a .mat file of the state space, and its losses.
 
-    Without a period, in s, it is sampled as the record, and without a delay as the joint was identified with.
+    `period` and `delay`, in s, are by default those of the record and of the identification.
 
     Raises:
         MethodError: see `linear_part`.

@@ -1,13 +1,13 @@
-"""URDF, the robot description of ROS: of a joint, of a robot, or the user's own with other bodies and frictions.
+"""URDF of a joint or robot; or a user's URDF, updated.
 
 A joint has `dynamics`: `damping` and `friction` are its viscous and Coulomb friction, the same in both directions.
-There is no spring in URDF, and no constant force: a flexible joint is written as the rigid one that it is far below its
-resonance, the sums of its two sides.
+URDF has no spring and no constant force. A flexible joint is written as a rigid one with the sums of its two sides,
+which holds far below its resonance.
 
-A URDF of the user's own keeps all but its `<inertial>` and `<dynamics>`. Links that are fixed to each other, as a tool
-to a wrist, have one body in a robot. It is shared among them as they had it: with P the pseudo-inertias of the URDF's
-bodies, in the frame of the first, every one becomes ``T P T'``, where T takes their sum to the body that was found. So
-each is a body that can be, near its own.
+A user's URDF keeps all but its `<inertial>` and `<dynamics>`. Links that are fixed to each other, as a tool to a wrist,
+have one body in a robot. It is divided as in the URDF: with P the pseudo-inertias of the URDF's bodies, in the frame of
+the first, each becomes ``T P T'``, where T maps their sum to the identified body. So each body is physically consistent
+and near its own.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ def urdf(
     model: str | Path | None = None,
     locked: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[str, list[str]]:
-    """Return a joint or a robot as URDF, which has no laws, and its losses.
+    """Joint or robot as URDF, and its losses.
 
-    With the URDF that a robot was read from as `model`, it is that file with other `<inertial>` and `<dynamics>`;
-    `locked` are its joints that stand still, see `load_robot`.
+    `model`, the URDF that a robot was read from, is kept except for `<inertial>` and `<dynamics>`; `locked` are its
+    joints that stand still, see `load_robot`.
 
     Raises:
         MethodError: URDF cannot have these numbers.
@@ -85,7 +85,7 @@ def _add(root: ET.Element, body: Body, parent: str) -> None:
 
 
 def _fill_inertial(element: ET.Element, solid: MassProperties) -> None:
-    """Give an <inertial> the numbers of a body, in the frame of its link."""
+    """Fill an <inertial> with a body's numbers in its link's frame."""
     element.clear()
     ET.SubElement(element, "origin", xyz=triple(solid.centre), rpy="0 0 0")
     ET.SubElement(element, "mass", value=number(solid.mass))
@@ -94,7 +94,7 @@ def _fill_inertial(element: ET.Element, solid: MassProperties) -> None:
 
 
 def _angles(rotation: FloatArray) -> FloatArray:
-    """Return roll, pitch and yaw about the fixed axes x, y and z; where pitch is 90 deg, the yaw is 0."""
+    """Roll, pitch and yaw about fixed axes; yaw 0 at pitch 90 deg."""
     level = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch = math.atan2(-rotation[2, 0], level)
     if level < 1e-12:
@@ -104,7 +104,7 @@ def _angles(rotation: FloatArray) -> FloatArray:
 
 
 def _replace(text: str, found: Sequence[Body], locked: Mapping[str, float]) -> tuple[ET.Element, list[str]]:
-    """Return the root of a URDF with a robot's bodies and friction, and what it lacks.
+    """Replace bodies and friction in a URDF; return root and losses.
 
     Args:
         text: of the file.
@@ -131,7 +131,7 @@ def _replace(text: str, found: Sequence[Body], locked: Mapping[str, float]) -> t
 
 
 def _share_body(inertial: FloatArray, carried: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, FloatArray]:
-    """Return the ten inertial parameters of each of the links, in its own frame, whose sum is a body.
+    """Distribute a body over its links, as inertial parameters in their frames.
 
     Args:
         inertial: (10,) of the body, in the frame of the first link.

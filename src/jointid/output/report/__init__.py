@@ -1,4 +1,4 @@
-"""The report of an identification: one page, and what it takes to do it again."""
+"""Report of an identification on one page, with data to repeat it."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Report:
 
     Attributes:
         estimate: what is reported.
-        diagnosis: of loop, log and residual; None where there is none.
+        diagnosis: of loop, log and residual; None without one.
         checks: of the same estimate on other records.
         name: of the joint; that of the record when empty.
-        repetition: what it takes to do it again.
-        tuned: what to set in the drive; None where that was not asked for.
+        repetition: data to repeat it.
+        tuned: settings of the drive; None if not requested.
         channels: of the record of a joint, by name.
-        validation: the direct test of a joint; None where there is none, as the response.
-        response: of the joint.
+        validation: the direct test of a joint; None without one.
+        response: frequency response of the joint; None without one.
         profiles: of single quantities.
         absent: reason why a part is missing, by its name, in a sentence.
     """
@@ -78,7 +78,7 @@ class Report:
         repetition: Repetition | None = None,
         progress: Progress = ignore_progress,
     ) -> Report:
-        """Report an estimate: what it says, how far it can be trusted, and what it takes to repeat it.
+        """Report an estimate: result, trust and data to repeat it.
 
         Args:
             estimate: by any method.
@@ -89,7 +89,7 @@ class Report:
                 the stiffness and the compliance of a flexible joint. Of DIDIM only.
             tuned: margins and gains of the drive from `tune`, which then have a section.
             controllers: of each joint of a robot, see `diagnose`.
-            repetition: what it takes to do it again, where the files are known.
+            repetition: data to repeat it, if the files are known.
             progress: receives each step.
 
         Raises:
@@ -137,7 +137,7 @@ class Report:
 
     @property
     def title(self) -> str:
-        """The axis, the date of its record if it is known, and the version of this program."""
+        """Axis, date of its record if known, and version of this program."""
         robot, again = self.estimate.robot, self.repetition
         own = self.estimate.data.record if robot is None else robot.model.name
         return ", ".join(filter(None, (self.name or own, again.record_date, f"jointid {again.version}")))
@@ -155,7 +155,7 @@ class Report:
         return dumps(contents | plain(self.repetition))
 
     def to_document(self) -> Document:
-        """Return the page as a document, with the JSON that it carries along."""
+        """The page as a document, with its JSON."""
         return Document(self.title, tuple(report_blocks(self, self.figures)), self.answer())
 
     def html(self) -> str:
@@ -178,7 +178,7 @@ class Report:
 
 
 def tune_to_limit(estimate: Estimate) -> Tuned | str | None:
-    """Return margins and gains of a loop whose limit is declared; why there are none, or None where none is asked."""
+    """Tune a loop with declared limit; else a reason, or None."""
     from jointid import tune
 
     loop = estimate.settings.loop

@@ -1,7 +1,7 @@
-"""The page of a report and its sections: the documents of its parts, each beside its pictures.
+"""Page of a report, with its parts' documents and pictures as sections.
 
-A page opens without a network, prints, and runs no script. Its policy allows none: a text that got past the escaping
-would still be nothing but text. The answer it carries for other programs is JSON in which no tag can end.
+A page opens without a network, prints, and runs no script. Its policy forbids scripts, so a text that evades the
+escaping stays text. The answer that it carries for other programs is JSON in which no tag can end.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _FEW = 4  # headings: a shorter page needs no list of contents
 
 
 def page(document: Document) -> str:
-    """Return a document as one HTML page; the same document gives the same bytes."""
+    """Render a document as one HTML page, with reproducible bytes."""
     anchors: dict[int, str] = {}  # of the headings, each name once
     for place, block in enumerate(document.blocks):
         if isinstance(block, Heading) and block.level == 2:
@@ -74,7 +74,7 @@ def page(document: Document) -> str:
 
 
 def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
-    """Write `name`.html and the pictures into a folder, which is made; return what was written.
+    """Write `name`.html and its pictures into a folder; return the paths.
 
     Raises:
         RecordError: the folder or a file cannot be written.
@@ -111,10 +111,10 @@ def repetition(
     changes: Iterable[str] = (),
     html: str = "report.html",
 ) -> Repetition:
-    """Return the data to repeat a report; files by their names, without their folders.
+    """Data to repeat a report; file names are without folders.
 
-    Of the command's options None leaves one away; `changes` are keys of the joint file, as ``method.frequency=30``.
-    The files are those of one record; where there are several, the joint file names them, and not the command.
+    Options that are None are omitted; `changes` are keys of the joint file, as ``method.frequency=30``.
+    `records` are the files of one record; the command names a single file, the joint file several.
 
     Raises:
         RecordError: a file cannot be read.
@@ -171,7 +171,7 @@ _PICTURES = {
 
 
 def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Block]:
-    """Yield the whole report: what was found, and the appendix with all that stands behind it."""
+    """Yield the whole report: result and appendix."""
     estimate, tuned = given.estimate, given.tuned
     yield Heading("Result")
     yield from _result(given)
@@ -214,7 +214,7 @@ def _part(result: Documented, *, details: bool = False) -> Iterator[Block]:
 
 
 def draw_figures(given: Report) -> dict[str, Figure]:
-    """Return the figures of a report by their names, without those that cannot be drawn."""
+    """Figures of a report by name, without those that cannot be drawn."""
     estimate, cutoff = given.estimate, given.estimate.settings.filtering.cutoff
     if estimate.robot is not None:
         assert given.diagnosis is not None
@@ -246,7 +246,7 @@ def _picture(given: Report, figures: Mapping[str, Figure], name: str) -> Picture
 
 
 def _result(given: Report) -> Iterator[Block]:
-    """Yield the answer, what it was held against, and the drawing of a joint."""
+    """Yield the answer, its checks and the drawing of a joint."""
     estimate = given.estimate
     yield Paragraph(str(estimate.answer), tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
     if given.diagnosis is not None:
@@ -273,7 +273,7 @@ def _describe_controller(loop: ClosedLoop) -> str:
 
 
 def _settings(given: Report) -> Iterator[Block]:
-    """Yield how the record was filtered, its channels, and how to make the report again."""
+    """Yield filter settings, the record's channels, and how to repeat the report."""
     estimate, repetition = given.estimate, given.repetition
     f, fit = estimate.settings.filtering, estimate.fit
     position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
@@ -295,7 +295,7 @@ def _settings(given: Report) -> Iterator[Block]:
 
 
 def _channels_table(estimate: Estimate, given: Report) -> Table:
-    """Return the channels of the record, and which of them were read."""
+    """Table of the record's channels, and which were read."""
     rows = list[tuple[str, ...]]()
     for name, one in given.channels.items():
         read = "read" if name in estimate.data.channels else "not read"
