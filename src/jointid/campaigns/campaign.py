@@ -1,4 +1,4 @@
-"""The campaign file (TOML): a fleet of joints, their records and swept settings, and the cases that these make.
+"""The campaign file (TOML): fleet, records, swept settings, and their cases.
 
 A case describes one identification. The SHA-256 of the description identifies it: a changed record, joint file or
 version of jointid makes another case.
@@ -33,7 +33,7 @@ from jointid.config.toml import apply_changes, parse_toml, read_text
 
 _NAMED = 5  # names in a sentence
 _PLACEHOLDERS = {"{joint}": "(?P<joint>[^/]+)", "{day}": r"(?P<day>\d{4}-?\d{2}-?\d{2})"}
-_ALL = "joint"  # the name of all records where their path has no {joint}
+_ALL = "joint"  # key of the records if their path has no {joint}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +41,14 @@ class Case:
     """One identification of a campaign.
 
     Attributes:
-        joint: the name by which a report calls it.
+        joint: name of the joint in reports.
         joint_file: the text of the joint file.
         record: path of the record.
-        stamp: by which a record that was replaced is known: its size and the time of its change.
-        day: on which it was logged, as 2026-11-23; empty where that does not matter.
-        changes: keys of the joint file that are changed, each as ``method.frequency=30``.
+        stamp: size and modification time of the record, which reveal a replaced one.
+        day: date of logging, as 2026-11-23; empty if irrelevant.
+        changes: changed keys of the joint file, each as ``method.frequency=30``.
         program: the version of jointid that described it.
-        settings: keys of the joint file that are set for this joint alone, as ``transmission.ratio=100``, by key.
+        settings: keys of the joint file set for this joint only, as ``transmission.ratio=100``, sorted.
 
     Example:
         >>> from jointid.campaigns.campaign import Case
@@ -124,7 +124,7 @@ class Campaign:
 
 def load_campaign(path: Path) -> Campaign:
     """Load and validate a campaign file, without the records."""
-    path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
+    path = Path(os.path.abspath(path))  # noqa: PTH100 - one spelling, without ..
     file: CampaignTable = Reader().read_all(CampaignTable, parse_toml(read_text(path)))
     runs, left_out = _list_fleet(file.fleet, path.parent)
     swept = (
@@ -139,7 +139,7 @@ def load_campaign(path: Path) -> Campaign:
 
 
 def _list_fleet(fleet: FleetTable, folder: Path) -> tuple[list[Case], str]:
-    """Return the cases of a fleet without changes, and a description of what is left out."""
+    """Return the unchanged cases of a fleet, and a description of files left out."""
     records, undated = _match_records(folder, fleet.records)
     rows = dict.fromkeys(records, ()) if fleet.table is None else _read_table(folder / fleet.table)
     found, without, text_of = list[Case](), list[str](), cache(_read_joint)
@@ -164,7 +164,7 @@ def _some(names: list[str]) -> str:
 
 
 def _match_records(folder: Path, pattern: str) -> tuple[Mapping[str, list[tuple[str, str, str]]], list[str]]:
-    """Return path, stamp and day of the records of a pattern, by joint, and paths without a date."""
+    """Return path, stamp and day of matching records by joint, and undated paths."""
     whole = os.path.normpath(folder / pattern).replace(os.sep, "/")
     shape, root = re.compile(_expression(whole)), Path(whole).anchor
     stars = re.sub(r"(\{\w+\}|\*)+", "*", whole[len(root) :]).replace("[", "[[]")
@@ -191,7 +191,7 @@ def _expression(pattern: str) -> str:
 
 
 def _stamp_of(record: Path) -> str:
-    """Return the size and change time [ms] of a record; empty if it is unreadable, which its case reports."""
+    """Return size and modification time [ms] of a record; empty if unreadable."""
     try:
         about = [each.stat() for each in files_of(record)]
     except OSError:
@@ -200,7 +200,7 @@ def _stamp_of(record: Path) -> str:
 
 
 def _day(said: str | None, stamp: str) -> str:
-    """Return the day as 2026-11-23, from the file's name or last change; empty if unknown."""
+    """Return the date as 2026-11-23, from file name or stamp; empty if unknown."""
     if said is not None:
         digits = said.replace("-", "")
         return f"{digits[:4]}-{digits[4:6]}-{digits[6:]}"
@@ -210,27 +210,27 @@ def _day(said: str | None, stamp: str) -> str:
 
 
 def _read_joint(path: Path) -> str:
-    """Return the text of a joint file for a case, with absolute path and digest of a robot's model."""
+    """Read a joint file; make a robot's model path absolute and add its digest."""
     text = read_text(path)
     try:
         tables: Any = parse_toml(text)
         model = (path.parent / tables["robot"]["model"]).absolute()
         digest = hashlib.sha256(model.read_bytes()).hexdigest()
-    except (JointFileError, KeyError, TypeError, OSError):  # it is of a joint, or loading it names the fault
+    except (JointFileError, KeyError, TypeError, OSError):  # not of a robot, or loading reports the fault
         return text
     tables["robot"]["model"] = str(model)
     return f"# the model's SHA-256: {digest}\n{tomlkit.dumps(tables)}"
 
 
 def _read_table(path: Path) -> dict[str, tuple[str, ...]]:
-    """Return the settings of each joint of a fleet's table, as text: no cell is executed.
+    """Return the settings of each joint of a fleet's table, as text.
 
     Args:
-        path: of a CSV file in UTF-8, with commas, semicolons or tabs.
+        path: a CSV file in UTF-8, with commas, semicolons or tabs; no cell is executed.
     """
     text, joints = read_text(path), dict[str, tuple[str, ...]]()
     separator = max(",;\t", key=text.partition("\n")[0].count)
-    # Strict, as a quote that is not closed would take in all that follows.
+    # Strict: an unclosed quote would swallow the rest of the file.
     reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     try:
         rows = [(f"{path.name}, row {reader.line_num}: ", row) for row in reader]
@@ -241,7 +241,7 @@ def _read_table(path: Path) -> dict[str, tuple[str, ...]]:
         found = join(header[:_NAMED] or ["nothing"])
         raise JointFileError(f"{path} has the columns {found}; expected name, and each column once: correct them.")
     keys = sorted(key for key in header if key != "name" and not key.startswith("#"))
-    apply_changes({}, [f"{key}=0" for key in keys])  # refuses a column that can be no key
+    apply_changes({}, [f"{key}=0" for key in keys])  # refuses invalid keys
     for place, row in rows:
         name = (row["name"] or "").strip()
         if None in row or None in row.values() or not name or name in joints:
@@ -252,7 +252,7 @@ def _read_table(path: Path) -> dict[str, tuple[str, ...]]:
 
 
 def _value(key: str, cell: str) -> str:
-    """Return a cell as a TOML value; what is none becomes text."""
+    """Return a cell as a TOML value; quote other text."""
     try:
         apply_changes({}, [f"{key}={cell}"])
     except JointFileError:

@@ -30,23 +30,23 @@ from jointid.campaigns.run import Outcome, Row
 from jointid.common.arrays import FloatArray
 
 FALSE_ALARM = 0.01
-"""Chance that any joint of a fleet without drift is named."""
+"""Probability that any joint of a fleet without drift is reported."""
 
-_SIDE = 3  # runs that a step has on either side at least
+_SIDE = 3  # fewest runs on either side of a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """The change that best explains the runs of a joint's quantity.
+    """The best-fitting change of a joint's quantity over its runs.
 
     Attributes:
-        series: the runs, without those that stand out.
+        series: the runs without outliers.
         kind: a step or a trend.
-        since: day of the first run after a step; of a trend that of the first run.
-        before, after: level before and after it, in SI units; of a trend at the first and the last run.
+        since: day of the first run after a step; for a trend, of the first run.
+        before, after: levels before and after, in SI units; for a trend, at the first and last run.
         std: standard deviation of their difference.
-        p_value: chance of as large a change of any shape where there is none.
-        significant: whether it is among those that are named; see `judge`.
+        p_value: probability of so large a change of any shape without drift.
+        significant: whether it is reported; see `judge`.
     """
 
     series: Series
@@ -99,7 +99,7 @@ def best_change(series: Series) -> Change | None:
 
 
 def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[Change, ...]:
-    """Best change of every series by significance, reported ones marked (Holm)."""
+    """Best change of every series, sorted by p-value; Holm's procedure marks significant ones."""
     found = sorted((one for each in series if (one := best_change(each)) is not None), key=lambda one: one.p_value)
     named = 0
     while named < len(found) and found[named].p_value <= false_alarm / (len(found) - named):
@@ -110,8 +110,8 @@ def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[C
 def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Slope, level and slope deviation of each shape, (shapes,) each."""
     unstated = max(series.scatter**2 - float(np.median(series.stds)) ** 2, 0.0)
-    # No run weighs more than the middle one: one whose deviation is stated too small would fit itself, and what is
-    # left would look like no scatter at all.
+    # Bound the weights by that of the median deviation: a run with an understated deviation would dominate the fit
+    # and hide the scatter of the others.
     weights = 1.0 / (np.maximum(series.stds, np.median(series.stds)) ** 2 + unstated)
     share = weights / weights.sum()
     y = series.values - float(share @ series.values)
@@ -128,7 +128,7 @@ _FRICTIONS = ("coulomb", "viscous")
 _TO_SIGMA = 1.4826  # from the median of absolute deviations, for a normal distribution
 _WINDOW = 5  # runs, of which the middle one is the level: a step stays a step
 _OUT = 6.0  # deviations from that level: of normal scatter one run in thousands is out by chance
-_FEWEST = 8  # runs of which something can be said
+_FEWEST = 8  # runs that a test needs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,12 +136,12 @@ class Series:
     """A quantity of a joint over its runs.
 
     Attributes:
-        changes: of the joint file, that these runs have in common.
-        quantity, unit: a parameter, or a sum of some.
-        days: (runs,) in days since the year 1, or the number of the run where a day is not known.
+        changes: to the joint file, common to these runs.
+        quantity, unit: a parameter, or a sum of parameters.
+        days: (runs,) in days since the year 1, or indices of the runs if a day is unknown.
         values: (runs,) in SI units.
         stds: (runs,) stated standard deviations.
-        labels: (runs,) day of each, or its record's address.
+        labels: (runs,) days, or paths of the records.
     """
 
     joint: str
@@ -155,7 +155,7 @@ class Series:
 
     @property
     def enough(self) -> bool:
-        """True if there are runs enough to say something of."""
+        """True if there are enough runs to test."""
         return self.values.size >= _FEWEST
 
     @property
@@ -184,15 +184,15 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A joint, or a quantity of one, whose last runs give no value.
+    """A joint or quantity without a value in its last runs.
 
     Attributes:
         joint: its name.
-        changes: of the joint file, that its runs have in common.
-        quantity: empty where the joint has no answer at all.
-        last: day or record of the last run with a value; empty where there was none.
-        runs: without one since.
-        sentence: why the last one has none.
+        changes: to the joint file, common to its runs.
+        quantity: empty if the joint has no answer at all.
+        last: day or record of the last run with a value; empty if there is none.
+        runs: number of runs since then.
+        sentence: why the last run has no value.
     """
 
     joint: str
@@ -204,7 +204,7 @@ class Loss:
 
 
 def losses_of(rows: Sequence[Row]) -> Iterator[Loss]:
-    """Yield the joints and quantities without a value in their last three runs or more."""
+    """Yield joints and quantities without a value in at least three last runs."""
     for (joint, changes), runs in _by_joint(rows).items():
         answered = [row.outcome is Outcome.IDENTIFIED for row in runs]
         since = _runs_since(answered)
@@ -219,7 +219,7 @@ def losses_of(rows: Sequence[Row]) -> Iterator[Loss]:
 
 
 def _runs_since(known: Sequence[bool]) -> int:
-    """Return how many at the end are False."""
+    """Count the trailing False values."""
     return next((k for k, one in enumerate(reversed(known)) if one), len(known))
 
 

@@ -32,8 +32,8 @@ class CampaignReport(Documented):
 
     Attributes:
         name: of the campaign.
-        rows: results, in an order that depends on no engine.
-        false_alarm: chance that any joint of a fleet without drift is named.
+        rows: results, in an order independent of the engine.
+        false_alarm: probability that any joint of a fleet without drift is reported.
     """
 
     name: str
@@ -47,7 +47,7 @@ class CampaignReport(Documented):
 
     @cached_property
     def losses(self) -> tuple[Loss, ...]:
-        """Joints, and quantities of joints, without a value in their last runs."""
+        """Joints and their quantities without a value in their last runs."""
         return tuple(losses_of(self.rows))
 
     @cached_property
@@ -67,7 +67,7 @@ class CampaignReport(Documented):
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
-        """The best change of every series, the least likely by chance first."""
+        """The best change of every series, sorted by p-value."""
         return judge(self.series, self.false_alarm)
 
     @property
@@ -81,7 +81,7 @@ class CampaignReport(Documented):
         return self.verdict[0]
 
     def to_document(self, *, details: bool = False, pictures: bool = False) -> Document:
-        """The report; with details all rows of every table, with pictures the values over the days."""
+        """Return the report; `details` gives all table rows, `pictures` adds plots over days."""
         most = None if details else _SHOWN
         counts = Counter(row.outcome for row in self.rows)
         ends = ", ".join(f"{count} {outcome}" for outcome in Outcome if (count := counts[outcome]))
@@ -152,7 +152,7 @@ class CampaignReport(Documented):
 
 
 def _count_joints(names: Sequence[str], what: str) -> str:
-    """Say of how many joints something is, and of which."""
+    """Format how many joints changed, and their names."""
     joints = list(dict.fromkeys(names))
     named = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
     return f"{pluralise(len(joints), 'joint')} {what}: {join(named)}."
@@ -172,7 +172,7 @@ def _drift_row(one: Change) -> tuple[str, ...]:
 
 
 def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
-    """Yield the distribution of each parameter, by combination of swept settings with a result."""
+    """Yield the distribution of each parameter, by combination of swept settings."""
     for changes in sorted({row.changes for row in rows}):
         tried = [row for row in rows if row.changes == changes]
         runs = [row for row in tried if row.outcome is Outcome.IDENTIFIED]
@@ -202,18 +202,18 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     if not without:
         return
     yield Heading("Without an answer")
-    # One that kills its worker is to be seen among any number of spoiled records.
+    # Cases that killed workers come first: they must not be lost among many unreadable records.
     without.sort(key=lambda row: (row.outcome is not Outcome.SET_ASIDE, row.outcome is not Outcome.FAILED, row.place))
     whose = ((" ".join((row.joint, row.day, *row.changes)), row) for row in without[:most])
     yield Listing(tuple(f"{who}, {row.outcome}: {short(row.sentence, _LONGEST)}" for who, row in whose))
 
 
 _Shown: TypeAlias = tuple[Series, str, str, Change | None]
-"""A series, what is said of it, since which run, and its change if it has one."""
+"""A series, its caption, the run that is marked, and its change, if any."""
 
 
 def _pictures(changes: Sequence[Change], series: Sequence[Series], losses: Sequence[Loss]) -> Iterator[Block]:
-    """Yield the values of what drifted or was lost, over days."""
+    """Yield plots of drifted or lost quantities over days."""
     shown: list[_Shown] = [
         (one.series, f"{one.change_percent:+.3g} % since {one.since}", one.since, one) for one in changes
     ]
@@ -230,7 +230,7 @@ def _pictures(changes: Sequence[Change], series: Sequence[Series], losses: Seque
 
 @styled
 def _draw(shown: Sequence[_Shown]) -> Figure:
-    """Draw series over the days from their first run, with a mark at a run and the levels of a change."""
+    """Draw series over days, with a marked run and the levels of a change."""
     figure, drawn = panels([220] * len(shown), 2)
     for axes, (of, said, since, change) in zip(drawn, shown, strict=True):
         days, at = of.days - of.days[0], of.labels.index(since)

@@ -1,10 +1,10 @@
-"""Run of a campaign: cases go to a `concurrent.futures.Executor`, and results are kept in one file of lines.
+"""Run of a campaign: cases go to an executor, results to one file of lines.
 
-The executor has processes of this machine, or the workers of a Dask cluster. A dying worker takes its executor or case
-with it. The culprit is unknown, so each affected case is retried alone; one that kills two workers alone is set aside.
+The `concurrent.futures.Executor` has local processes or the workers of a Dask cluster. A dying worker takes its
+executor or case with it. Each affected case is retried alone; a case that kills two workers alone is set aside.
 
-Each line of the file is the result of a case and on the disk before that counts as finished; the last one of a case
-counts. A kill or a full disk may tear the last line, whose case is then made again.
+Each line of the file is the result of a case; the last one of a case counts. A case is finished once its line is on
+the disk. A kill or a full disk may truncate the last line; its case is then run again.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from jointid.config import loads
 from jointid.estimation.result.fields import read
 from jointid.estimation.result.verdict import POOR_FIT, Trust
 
-_PATIENCE = 10.0  # s that a scheduler has to answer
-_LOOK = 5.0  # s without a result, after which it is seen whether any can come
-_DEATHS = 2  # of workers, after which a case is set aside
-_AHEAD = 2  # cases under way for each worker, so that none waits for the next
+_PATIENCE = 10.0  # s, timeout of the scheduler
+_LOOK = 5.0  # s without a result before the workers are checked
+_DEATHS = 2  # worker deaths after which a case is set aside
+_AHEAD = 2  # cases submitted per worker, so that none is idle
 
 
-_BEGIN = b'{"changes":'  # of each line, whose keys are in order
+_BEGIN = b'{"changes":'  # the start of each line, whose keys are sorted
 
 
 class Outcome(StrEnum):
@@ -56,7 +56,7 @@ class Outcome(StrEnum):
 
 
 RETRIED = (Outcome.REFUSED, Outcome.FAILED, Outcome.SET_ASIDE)
-"""Outcomes that are tried again where that is asked for; an answer that is not reliable stays."""
+"""Outcomes to retry on request; an unreliable answer is kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +64,8 @@ class Found:
     """An identified parameter or combination.
 
     Attributes:
-        value: in SI units; None where it is refused.
-        std: its standard deviation; None where it was kept fixed.
+        value: in SI units; None if refused.
+        std: its standard deviation; None if it was fixed.
     """
 
     value: float | None
@@ -78,13 +78,13 @@ class Row:
     """The result of a case.
 
     Attributes:
-        outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's. A
-            search without an end, value or fit is not reliable.
+        outcome: a refusal is a fault of the record or joint file, a failure one of jointid. A search that does not
+            converge or fit is not reliable.
         sentence: the answer in a line, or why there is none.
-        found: parameters, and sums that are known where their parts are not, by name.
-        trust: whether to rely on the answer, a code.
-        error_percent: norm of the torque error, filtered, over that of the torque.
-        record_sha256: of the record's bytes; empty where they could not be read.
+        found: parameters, and sums that are identifiable where their parts are not, by name.
+        trust: code of the answer's reliability.
+        error_percent: norm of the filtered torque error over that of the torque.
+        record_sha256: digest of the record; empty if unreadable.
         program: the version of jointid that identified it.
     """
 
@@ -123,34 +123,34 @@ class Store:
         whole = self._read()
         self._retried = {row.content_hash for row in self._rows.values() if again and row.outcome in RETRIED}
         with explain(path):
-            os.ftruncate(descriptor, whole)  # without the line that a kill has torn
+            os.ftruncate(descriptor, whole)  # drop a line that a kill truncated
 
     def has_result(self, content_hash: str) -> bool:
-        """Test whether a case needs no work."""
+        """Test whether a case has a result to keep."""
         return content_hash in self._rows and content_hash not in self._retried
 
     def add(self, row: Row) -> None:
-        """Keep a result; it is on the disk when this returns."""
+        """Store a result; it is on the disk on return."""
         content = (canonical(asdict(row)) + "\n").encode("utf-8", "surrogatepass")
         with explain(self._path):
-            while content:  # a disk that takes a part of it says why at the next attempt
+            while content:  # after a partial write, the next attempt raises the reason
                 content = content[os.write(self._descriptor, content) :]
             os.fsync(self._descriptor)
         self._rows[row.content_hash] = row
         self._retried.discard(row.content_hash)
 
     def rows_of(self, hashes: Iterable[str]) -> tuple[Row, ...]:
-        """Return the results of cases, in an order that depends on no engine."""
+        """Return the results of cases, in an order independent of the engine."""
         found = [self._rows[one] for one in dict.fromkeys(hashes) if one in self._rows]
         return tuple(sorted(found, key=lambda row: row.place))
 
     def _read(self) -> int:
-        """Take in the lines, and return the size of those that are whole."""
+        """Read the stored results; return the byte size of complete lines."""
         whole = 0
         with explain(self._path), open_file(self._path) as file:
             for number, line in enumerate(file, 1):
                 if not line.endswith(b"\n") and (line.startswith(_BEGIN) or _BEGIN.startswith(line)):
-                    break  # torn by a kill
+                    break  # truncated by a kill
                 try:
                     row = read(Row, json.loads(line))
                 except (ValueError, TypeError, OverflowError, RecursionError) as error:
@@ -167,12 +167,12 @@ def open_store(path: Path, *, again: bool = False) -> Iterator[Store]:
     """Yield the results in a file, for one process at a time.
 
     Args:
-        path: of the file; it is made if it is not there.
-        again: whether what was refused, failed or set aside counts as not done.
+        path: of the file, which is created if missing.
+        again: whether to retry cases that were refused, failed or set aside.
     """
     with explain(path):
         if path.exists():
-            open_file(path).close()  # which refuses a pipe or a device
+            open_file(path).close()  # refuses a pipe or a device
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
         descriptor = os.open(path, flags, 0o666)
     try:
@@ -229,7 +229,7 @@ def _identify(case: Case) -> dict[str, Any]:
             "leave them out."
         )
     estimate = file.identify(file.record(case.record))
-    of_robot = estimate.robot is not None  # of which every number counts, those of its logs, too
+    of_robot = estimate.robot is not None  # every number of a robot counts, also those of its logs
     known = estimate.known
     sums = [] if known is None else known.physical
     numbers = [
@@ -237,8 +237,8 @@ def _identify(case: Case) -> dict[str, Any]:
         # The sums of both sides are identifiable where their parts are not.
         *((f"total_{one.combination.quantity}", one.value, one.std, one.combination.unit) for one in sums),
     ]
-    # That the law as declared does not fit is no reason here: where it never fits, changes are still to be seen.
-    fits = estimate.fit.filtered_error <= POOR_FIT  # not so where it is NaN
+    # A controller that does not fit as declared is accepted: changes show even where it never fits.
+    fits = estimate.fit.filtered_error <= POOR_FIT  # False for NaN
     usable = estimate.fit.converged and fits and estimate.answer.trust.code is not Trust.REFUSED
     return {
         "outcome": Outcome.IDENTIFIED if usable else Outcome.DOUBTFUL,
@@ -255,21 +255,21 @@ def _finite(value: float | None) -> float | None:
 
 
 Workers = tuple[Executor, Callable[[], int]]
-"""An executor of cases, and a function that returns how many it can work at now.
+"""An executor of cases, and a function that returns its present number of workers.
 
-The function raises OSError where no result can come any more.
+The function raises OSError if no further result can come.
 """
 
 Engine = Callable[[], AbstractContextManager[Workers]]
-"""Opens workers. An exception abandons the cases that are under way."""
+"""Context manager of workers; an exception abandons the cases under way."""
 
 
 @contextlib.contextmanager
 def local_processes(count: int = 0) -> Iterator[Workers]:
-    """Yield single-threaded processes that end with their parent.
+    """Yield single-threaded worker processes that end with their parent.
 
     Args:
-        count: how many at most; one for each core when 0.
+        count: largest number; 0 for one per core.
     """
     before, count = set(multiprocessing.active_children()), count or threads()
     executor = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), begin_worker)
@@ -287,15 +287,15 @@ def local_processes(count: int = 0) -> Iterator[Workers]:
 def dask_cluster(address: str) -> Iterator[Workers]:
     """Yield the changing workers of an existing Dask cluster.
 
-    Dask gives a case of a worker that died to another one, and gives it up after some deaths (its setting
-    ``distributed.scheduler.allowed-failures``). It counts the deaths of workers at which a case was only waiting, too.
+    Dask moves the case of a dead worker to another one, and gives up after some deaths (its setting
+    ``distributed.scheduler.allowed-failures``). It also counts deaths of workers at which a case only waited.
 
     Args:
-        address: of its scheduler, as tcp://10.0.0.1:8786.
+        address: of its scheduler, such as tcp://10.0.0.1:8786.
     """
     distributed = extra("distributed", "cluster", "A Dask cluster")
     for name in ("distributed", "distributed.client", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # of a scheduler that is gone they print tracebacks
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # they print tracebacks when the scheduler is gone
     try:
         with distributed.Client(address, timeout=_PATIENCE, set_as_default=False) as client:
             first = client.scheduler_info()["id"]
@@ -303,10 +303,10 @@ def dask_cluster(address: str) -> Iterator[Workers]:
             def capacity() -> int:
                 about = client.scheduler_info(n_workers=-1)
                 if client.status != "running" or about["id"] != first:
-                    raise OSError  # another scheduler knows none of these tasks, and Dask does not always say so
+                    raise OSError  # another scheduler has none of these tasks, and Dask does not always report that
                 return sum(int(one["nthreads"]) for one in about["workers"].values())
 
-            yield client.get_executor(pure=False), capacity  # a case that is tried again is another task
+            yield client.get_executor(pure=False), capacity  # a retried case is a new task
     except (OSError, ValueError) as error:
         raise MethodError(
             f"No Dask scheduler answers at {address}, as tcp://10.0.0.1:8786, or not any more; start one, and give the "
@@ -322,14 +322,14 @@ def run_cases(
     carry: Carry = run_case,
     progress: Progress = ignore_progress,
 ) -> dict[Outcome, int]:
-    """Execute the cases of a campaign without a result, and return how many ended how.
+    """Execute unfinished cases of a campaign; return counts by outcome.
 
     Args:
         cases: of the campaign.
-        engine: opens the workers that execute them, as `local_processes`.
+        engine: opens the workers, such as `local_processes`.
         store: keeps the results.
-        carry: the function of a case.
-        progress: receives number done and time left.
+        carry: function that executes a case.
+        progress: receives the number of finished cases.
     """
     waiting = [case for case in dict.fromkeys(cases) if not store.has_result(case.content_hash)]
     made = dict.fromkeys(Outcome, 0)
@@ -355,7 +355,7 @@ def run_cases(
 
 
 def _run_together(waiting: Iterator[Case], engine: Engine, carry: Carry, keep: Keep) -> list[Case]:
-    """Execute cases until all are done or a worker dies; return the unfinished ones that were under way."""
+    """Execute cases until done or a worker dies; return those left under way."""
     affected, under_way = list[Case](), dict[Future[Row], Case]()
     with engine() as (executor, capacity):
         while True:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 
 _LINE = 64  # bytes of a cache line: rows of vectors begin with one
-_WASTE = 4  # times what is needed: more is given back
+_WASTE = 4  # largest ratio of a buffer's size to the requested size; a larger buffer is replaced
 
 
 def column_norms(columns: FloatArray) -> FloatArray:
@@ -49,8 +49,8 @@ def orthonormal_basis(columns: FloatArray, lost: float, largest: float | None = 
 
     Args:
         columns: (rows, columns).
-        lost: of the largest singular value of the columns divided by their norms: a smaller one is taken for 0.
-        largest: in its place, of columns of one scale, which are not divided.
+        lost: relative tolerance; smaller singular values of the normalised columns count as 0.
+        largest: reference singular value instead of the largest; the columns are then not normalised.
     """
     columns = columns / column_norms(columns) if largest is None else columns
     _, sizes, vectors = np.linalg.svd(triangle(columns), full_matrices=False)
@@ -61,13 +61,13 @@ def orthonormal_basis(columns: FloatArray, lost: float, largest: float | None = 
 
 
 class Room(threading.local):
-    """Reusable buffers by name, separate for each thread: fresh memory costs as long as a simulation."""
+    """Reusable buffers by name, separate for each thread."""
 
     def __init__(self) -> None:
         self._bytes: dict[str, NDArray[np.uint8]] = {}
 
     def array(self, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
-        """Return an uninitialised array, aligned to the cache line; it invalidates the previous one of that name."""
+        """Return an uninitialised, cache-aligned array; it invalidates the previous one of that name."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         held = self._bytes.get(name)
         if held is None or not size <= held.size <= _WASTE * (size + _LINE):

@@ -1,4 +1,4 @@
-"""The one look of all figures, which are of Matplotlib: its style, panels, and a figure as SVG or PNG."""
+"""Common style of all Matplotlib figures, their panels, and output as SVG or PNG."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ERROR = "#000000"
 LOAD = "#009E73"
 OTHERS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#000000", "#777777")
 LEVEL: dict[str, Any] = {"color": "0.35", "linewidth": 0.8, "linestyle": "--"}
-"""How a line stands that marks a value of an axis."""
+"""Style of a line that marks a value of an axis."""
 BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0}  # of the area between two lines
 
 _STYLE = Path(__file__).with_name("charts.mplstyle")
@@ -67,7 +67,7 @@ def panels(
     from matplotlib.figure import Figure
 
     class ShownFigure(Figure):
-        """A figure that a notebook shows; one of matplotlib's own needs pyplot for it."""
+        """A figure that notebooks display without pyplot."""
 
         def _repr_png_(self) -> bytes:
             return render(self, "png", dpi=100)
@@ -93,7 +93,7 @@ def mark(axes: Axes, x: float, text: str, row: int = 0, *, dotted: bool = False)
 
 
 def render(figure: Figure, form: str, dpi: int = 150, name: str = "jointid") -> bytes:
-    """Return a figure as a file of PNG, SVG or PDF; the same figure gives the same bytes."""
+    """Render a figure as PNG, SVG or PDF; the bytes are reproducible."""
     from matplotlib import style
 
     drawn = io.BytesIO()
@@ -103,7 +103,7 @@ def render(figure: Figure, form: str, dpi: int = 150, name: str = "jointid") -> 
 
 
 def svg(figure: Figure, name: str) -> bytes:
-    """Return a figure as the SVG element of a page, every text of it escaped; no other name has its ids."""
+    """Render a figure as an SVG element with escaped text and unique ids."""
     text = render(figure, "svg", name=name).decode()
-    # Every figure names its groups alike, and nothing refers to them.
+    # Group ids repeat between figures of a page, and nothing refers to them.
     return re.sub(r'<g id="[^"]*"', "<g", text[text.index("<svg") :]).encode()

@@ -1,4 +1,4 @@
-"""Results as documents: blocks, shown by rich as text or on a terminal, and by one template as HTML."""
+"""Results as documents of blocks, rendered as text, on a terminal or as HTML."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ WIDTH = 80
 """Characters of a line of plain text."""
 
 _LEAST, _ASKED = 13, 19  # characters of a fact's name and of a question, or blocks would not line up with each other
-_RULE = "    \n    \n----\n    \n    \n    \n    \n    \n"  # a line below the header, and none else
-_WIDEST = 10_000  # characters of a table whose numbers are not to be cut
+_RULE = "    \n    \n----\n    \n    \n    \n    \n    \n"  # a line below the header only
+_WIDEST = 10_000  # characters: the largest width of a table of numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class Document:
 
     Attributes:
         blocks: in order; facts and listings that hold nothing are left out.
-        answer: JSON that a page carries along for other programs; none when empty.
+        answer: JSON embedded in the page for other programs; none when empty.
     """
 
     title: str
@@ -171,24 +171,24 @@ class Documented(ABC):
     def _repr_html_(self) -> str:
         """Render the document without its pictures for a notebook."""
         document = self.to_document()
-        said = {document.title: None, self.sentence: None}  # once where they are the same
+        said = {document.title: None, self.sentence: None}  # printed once if they are equal
         blocks = (*map(Paragraph, filter(None, said)), *document.blocks)
         macros: Any = templates().get_template("blocks.html").module
         return "\n".join(str(macros.show(block)) for block in blocks if not isinstance(block, Picture))
 
 
 def common_facts(resampled: object | None, transmission: object | None) -> tuple[tuple[str, str], ...]:
-    """Describe resampling and transmission, where there were any."""
+    """Describe resampling and transmission, if any."""
     found = (("resampled", resampled), ("transmission", transmission))
     return tuple((name, str(value)) for name, value in found if value is not None)
 
 
 def plain_console(**options: Any) -> Console:
-    """Return a console of rich to which names of files are plain text, whatever they hold."""
+    """Return a rich console that prints all text literally, without markup."""
     from rich.console import Console
 
     class PlainConsole(Console):
-        """A console that no text controls."""
+        """A console that escapes control characters."""
 
         def render_str(self, text: str, **options: Any) -> Text:
             return super().render_str(printable(text), **options)
@@ -197,7 +197,7 @@ def plain_console(**options: Any) -> Console:
 
 
 def _render(block: Block, console: Console) -> RenderableType:
-    """Return a block as rich prints it; what passed is green, what did not red."""
+    """Return a block as a rich renderable; passed checks green, failed ones red."""
     from rich.table import Table as Grid
     from rich.text import Text
 
@@ -222,7 +222,7 @@ def _render(block: Block, console: Console) -> RenderableType:
 
 
 def _table(block: Table, console: Console) -> RenderableType:
-    """Return a table as wide as its numbers need: no line of them is cut, on a narrow terminal neither."""
+    """Return a table at least as wide as its numbers, which are never cut."""
     from rich.box import Box
     from rich.console import Group
     from rich.measure import Measurement
@@ -247,7 +247,7 @@ def _table(block: Table, console: Console) -> RenderableType:
 
 @cache
 def templates(*folders: Path) -> Environment:
-    """Return the templates of HTML in folders, and `blocks.html`, whose macro shows a block; all text is escaped."""
+    """Return the HTML templates of folders and of `blocks.html`; all text is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
 
@@ -256,7 +256,7 @@ def templates(*folders: Path) -> Environment:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     made.filters["base64"] = lambda raw: base64.b64encode(raw).decode("ascii")
-    # JSON in which no tag, comment or entity of HTML can begin; it is the same JSON.
+    # Escape the characters that begin HTML tags, comments and entities; JSON parsers read the same value.
     signs = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
     made.filters["inert"] = lambda json: Markup(json.translate(str.maketrans(signs)))  # noqa: S704
     return made

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from jointid.common.text import printable
 
-_LONGEST = 4000  # characters of a sentence; what is longer quotes a file that is no record
+_LONGEST = 4000  # characters of a sentence; longer ones quote files that are no records
 
 
 class JointidError(Exception):
@@ -22,7 +22,7 @@ class Fault(str):
     """Sentence on a fault of a file, with its place and a code for programs.
 
     Attributes:
-        place: keys and indices that lead to the fault; empty if it is of the whole file.
+        place: keys and indices of the faulty value; empty for a fault of the whole file.
         code: kind of fault, such as "missing" or "unknown".
     """
 
@@ -71,8 +71,8 @@ def extra(module: str, name: str, purpose: str) -> Any:
 
     Args:
         module: its dotted name.
-        name: of the extra that brings it.
-        purpose: what it is needed for, the beginning of the sentence.
+        name: the extra that installs it.
+        purpose: what needs it; the beginning of the error sentence.
     """
     try:
         return import_module(module)

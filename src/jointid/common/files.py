@@ -1,4 +1,4 @@
-"""Whole writes of files, and opening of files that may be anything.
+"""Atomic writes, and opening of files that may be pipes or devices.
 
 Output is written beside its place and moved there when complete. A link is followed, permissions are kept, and a device
 or pipe such as `/dev/stdout` is written directly. A killed program leaves a file `.jointid-...` behind.
@@ -18,7 +18,7 @@ from typing import IO
 
 from jointid.common.errors import RecordError
 
-_SYSTEM = ("/dev/", "/proc/")  # what is opened there may be a file, and is still no place to put another
+_SYSTEM = ("/dev/", "/proc/")  # files there cannot be replaced by moving another one
 
 
 @contextlib.contextmanager
@@ -26,7 +26,7 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path; its content replaces `path` on success.
 
     Args:
-        path: the place. A file that is there is replaced, a folder is not.
+        path: destination. An existing file is replaced, an existing folder is not.
     """
     path = Path(path)
     with explain(path):
@@ -45,14 +45,14 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def require_room(path: str | os.PathLike[str]) -> None:
-    """Refuse an output path that cannot be written, before long work; an existing folder is tested itself."""
+    """Refuse an output path that cannot be written, before long work."""
     path = Path(path)
     with explain(path):
         if not _is_device(path):
             place = _place_of(path)
             fresh = next(each for each in (place, *place.parents) if each.is_dir()) / f".jointid-{secrets.token_hex(4)}"
             try:
-                fresh.write_bytes(b"\n")  # which a full disk refuses, too
+                fresh.write_bytes(b"\n")  # a full disk refuses this, too
             finally:
                 fresh.unlink(missing_ok=True)
 
@@ -77,7 +77,7 @@ def open_file(path: str | os.PathLike[str]) -> IO[bytes]:
     """Open a file for reading.
 
     Raises:
-        OSError: it cannot be opened, or is a folder, a pipe or a device: these may never answer, or have no end.
+        OSError: it cannot be opened, or is a folder, pipe or device; reading these may never end.
     """
     path = Path(path)
     if _is_device(path):
@@ -86,12 +86,12 @@ def open_file(path: str | os.PathLike[str]) -> IO[bytes]:
 
 
 def files_of(record: Path) -> list[Path]:
-    """Return the files of a record, which is a file or a folder, in order."""
+    """Return the sorted files of a record, which is a file or a folder."""
     return sorted(each for each in record.rglob("*") if each.is_file()) if record.is_dir() else [record]
 
 
 def digest(*records: Path) -> str:
-    """Return the SHA-256 of the bytes of files, one after the other, of a folder over its files in order.
+    """Return the SHA-256 of concatenated files; of a folder, its sorted files.
 
     Raises:
         RecordError: a file cannot be read.
@@ -105,7 +105,7 @@ def digest(*records: Path) -> str:
 
 
 def lock(descriptor: int) -> bool:
-    """Lock an open file; False if another process has it, True where the system or the disk has no locks."""
+    """Lock an open file; False if another process holds the lock."""
     with contextlib.suppress(ImportError):
         import fcntl
 
@@ -120,7 +120,7 @@ def lock(descriptor: int) -> bool:
 def explain(
     path: Path, done: str = "written", remedy: str = "free space there, or choose another place"
 ) -> Iterator[None]:
-    """Convert an `OSError` of a file or a folder to a sentence; what was to be written over is as it was."""
+    """Convert an `OSError` of a file or folder to a `RecordError` with a remedy."""
     try:
         yield
     except OSError as error:
@@ -136,7 +136,7 @@ def _is_device(path: Path) -> bool:
 
 
 def _place_of(path: Path) -> Path:
-    """Return the place of a file or folder that may be written."""
+    """Resolve the path of a file or folder; refuse one without write permission."""
     place = Path(os.path.realpath(path))
     if place.exists() and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))

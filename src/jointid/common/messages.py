@@ -21,7 +21,7 @@ _OFTEN = 1.0  # seconds between two lines on a piece of work
 T = TypeVar("T")
 
 Progress = Callable[[str], None]
-"""Receives one short sentence each time long work has something new to say."""
+"""Listener that receives progress of long work, one short sentence per call."""
 
 
 def ignore_progress(message: str) -> None:
@@ -29,18 +29,18 @@ def ignore_progress(message: str) -> None:
 
 
 class Detail(str):
-    """A line of progress on a single step of a search, for who follows it.
+    """A detailed progress line, such as one step of a search.
 
     Attributes:
-        brief: what everybody else is told; nothing when empty.
-        pace: whether it says how far a piece of work is, which is told now and then.
+        brief: the short line for listeners without details; none when empty.
+        pace: whether it reports the completed share of work, at intervals.
     """
 
     brief: str
     pace: bool
 
     def __new__(cls, said: object, brief: str = "", *, pace: bool = False) -> Self:
-        """Return the line: `said` behind `brief`, unless that ends with it."""
+        """Join `brief` and `said`; `said` is omitted if `brief` ends with it."""
         text = str(said)
         made = super().__new__(cls, f"{brief}: {text}" if brief and not brief.endswith(text) else brief or text)
         made.brief, made.pace = brief, pace
@@ -48,7 +48,7 @@ class Detail(str):
 
 
 def pace(progress: Progress, what: str, total: float, unit: str) -> Callable[[float], None]:
-    """Return the function that reports how much of a piece of work is done, in a line each second.
+    """Return a function that reports completed work, once per second at most.
 
     Args:
         progress: the listener.
@@ -81,8 +81,8 @@ class Message:
     """One statement of a result.
 
     Attributes:
-        code: the kind of statement, by which a program knows it; never by the words.
-        clause: the fact alone, without its evidence, for a sentence about something else; empty where the words are it.
+        code: the kind of statement; programs test it, never the words.
+        clause: the fact without its evidence, for use in other sentences; empty if equal to the words.
     """
 
     code: str
@@ -92,7 +92,7 @@ class Message:
 
     @property
     def brief(self) -> str:
-        """The clause, or else the words."""
+        """The clause, or the words if it is empty."""
         return self.clause or self.words
 
     def __str__(self) -> str:
@@ -114,7 +114,7 @@ def dot_path(location: Iterable[int | str]) -> str:
 
 
 def format_value(value: object) -> str:
-    """Return a value as the file writes it, shortened."""
+    """Format a value as in a TOML file, shortened."""
     if isinstance(value, dict):
         return "a table"
     try:
@@ -125,7 +125,7 @@ def format_value(value: object) -> str:
 
 
 def either(choices: Iterable[str]) -> str:
-    """Return the choices, quoted and in a row."""
+    """Join quoted choices with commas and "or"."""
     *most, last = [f'"{choice}"' for choice in choices] or [""]
     return f"{', '.join(most)} or {last}" if most else last
 

@@ -1,4 +1,4 @@
-"""Work beside other work, on another of the machine's cores."""
+"""Threads and worker processes."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 THREADS = "JOINTID_THREADS"
-"""The variable of the environment that says how many threads a computation may use."""
+"""Environment variable with the largest number of threads of a computation."""
 
 
 def threads() -> int:
-    """Number of threads, or of processes: JOINTID_THREADS, or one per usable core, of which Windows waits for 61."""
+    """Number of threads or processes: JOINTID_THREADS, or one per usable core."""
     if (said := os.environ.get(THREADS, "")).isdecimal():
         return max(int(said), 1)
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else min(os.cpu_count() or 1, 61)
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else min(os.cpu_count() or 1, 61)  # Windows' limit
 
 
-_SHARED = threading.local()  # of each thread, whether it is one of several that share the cores
+_SHARED = threading.local()  # in each thread: whether it shares the cores with others
 
 
 def in_threads(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Map a function over items with threads, one per core; see `threads`.
 
-    What a thread maps in turn stays in it, so that there are never more threads than cores. The results do not depend
+    Nested calls run in the calling thread, so that there are never more threads than cores. The results do not depend
     on the number of threads if those of the function do not.
     """
     workers = min(threads(), max(len(items), 1))
@@ -44,9 +44,9 @@ def in_threads(function: Callable[[Item], Result], items: Sequence[Item]) -> lis
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit the linear algebra of NumPy and SciPy to one thread, and restore its own number afterwards.
+    """Limit BLAS to one thread in a context.
 
-    Matrices here are thousands of rows by ten columns: a second thread only waits for the first.
+    Matrices here have thousands of rows and some ten columns: further threads only wait.
     """
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
@@ -55,7 +55,7 @@ def one_thread() -> Iterator[None]:
 
 
 def begin_worker() -> None:
-    """Begin as a worker: ignore Ctrl-C, and end with the parent, even by a kill."""
+    """Initialise a worker: ignore Ctrl-C, and exit when the parent exits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -23,8 +23,8 @@ class Quantity(StrEnum):
     """The physical quantity of a parameter.
 
     Attributes:
-        unit: with {f} for the unit of a torque and {q} for that of a position.
-        power: that of the ratio of a transmission by which it goes to the other side.
+        unit: with {f} for the torque unit and {q} for the position unit.
+        power: exponent of the transmission ratio in the conversion to the other side.
     """
 
     INERTIA = "inertia", "{f} s2/{q}", 2
@@ -46,14 +46,14 @@ class Quantity(StrEnum):
     power: int
 
     def __new__(cls, words: str, unit: str, power: int) -> Self:
-        """Make a member of its words, with unit and power."""
+        """Create a member from its words, unit and power."""
         made = str.__new__(cls, words)
         made._value_, made.unit, made.power = words, unit, power
         return made
 
 
 ADDED = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.FORCE, Quantity.VISCOUS_DRIFT, Quantity.FORCE_DRIFT)
-"""Quantities of which a joint without a spring has the sum of both sides."""
+"""Quantities that add over both sides in a joint without a spring."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +61,10 @@ class Parameter:
     """One parameter of a joint or its surroundings.
 
     Attributes:
-        name: the field's term, as code and files say it.
-        symbol: as tables and formulas say it.
-        free: whether it is identified; otherwise it keeps `start`.
-        start: where the search begins, or the value that is kept; None lets the method find its own start.
+        name: the field's term, used in code and files.
+        symbol: used in tables and formulas.
+        free: whether it is identified; otherwise it is fixed at `start`.
+        start: initial or fixed value; None lets the method choose its initial value.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Parameter:
     upper: float = math.inf
 
     def fix(self, value: float) -> Parameter:
-        """Return this parameter kept at `value`."""
+        """Return this parameter fixed at `value`."""
         return replace(self, free=False, start=float(value))
 
 

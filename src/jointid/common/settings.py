@@ -1,4 +1,4 @@
-"""Settings, declared once: a dataclass field with unit, bounds and meaning.
+"""Settings: dataclass fields with unit, bounds and meaning.
 
 The joint file's key, its documentation and the page's field derive from the declaration; `check_settings` validates.
 """
@@ -26,21 +26,21 @@ _KEY = "setting"  # of a field's metadata
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """The declaration of one setting.
+    """Declaration of one setting.
 
     Attributes:
         help: its meaning, a phrase.
         unit: of its value.
-        above: what its value is greater than. at_least: what it is not less than. at_most: what it is not greater than.
-        infinite: whether its value may be infinite. nonzero: whether it may not be 0.
-        only: the whole numbers that are allowed, where they are few.
+        above: exclusive lower bound. at_least: lower bound. at_most: upper bound.
+        infinite: whether its value may be infinite. nonzero: whether 0 is refused.
+        only: allowed integers; empty for all.
         accept: refuses a value by raising a `JointidError`.
-        choices: the words that are allowed, where the type does not list them.
-        systems: what it is for, "rigid", "flexible" or "robot"; empty for all.
+        choices: allowed words, unless the type lists them.
+        systems: the models that have it, "rigid", "flexible" or "robot"; empty for all.
         name: of the field.
         type: of its value, without None.
         optional: whether its value may be None.
-        default: of the field; `dataclasses.MISSING` where it has none.
+        default: of the field; `dataclasses.MISSING` if required.
     """
 
     help: str
@@ -162,7 +162,7 @@ def check_settings(owner: Any, error: type[JointidError] = MethodError, called: 
         error: type to raise.
         called: name in sentences, instead of the type's.
     """
-    kind: Any = type(owner)  # mypy does not take a type for something with a hash
+    kind: Any = type(owner)  # mypy does not accept a type as hashable
     declared = settings_of(kind)
     before = f"{called}: " if called else f"{kind.__name__}."
     found = ((one.name, one.fault(getattr(owner, one.name))) for one in declared)

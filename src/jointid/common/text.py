@@ -22,7 +22,7 @@ def short(text: str, longest: int = 40) -> str:
 
 
 def number(value: float | None, digits: int = 5, sign: str = "") -> str:
-    """Format a number with significant digits, of either sign with "+"; a dash for None."""
+    """Format a number with significant digits, or a dash for None."""
     if value is None:
         return "-"
     if value == 0.0 or not math.isfinite(value):
@@ -52,13 +52,13 @@ def interval(value: float, spread: float) -> str:
 
 
 def in_words(name: str) -> str:
-    """Return the name of a parameter in words, of a robot's behind its joint: "elbow, rotor inertia"."""
+    """Format a parameter's name, a robot's after its joint: "elbow, rotor inertia"."""
     axis, _, quantity = name.rpartition(".")
     return f"{axis}{', ' if axis else ''}{quantity.replace('_', ' ')}"
 
 
 def sentence(text: str) -> str:
-    """Return a clause as a sentence of its own."""
+    """Return a clause as a sentence."""
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
 
 

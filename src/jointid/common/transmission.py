@@ -28,10 +28,10 @@ SIDES: tuple[Side, ...] = ("motor", "load")
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transmission:
-    """A gear, a belt or a screw without loss; given by its ratio or by its lead.
+    """A gear, belt or screw without loss, given by its ratio or lead.
 
     Raises:
-        MethodError: not one of ratio and lead is given, or one of the values is impossible.
+        MethodError: not exactly one of ratio and lead is given, or a value is invalid.
 
     Example:
         >>> import jointid as ji

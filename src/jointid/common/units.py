@@ -26,7 +26,7 @@ class UnitError(JointidError):
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit: name, dimension, factor to SI, name there, powers of base units; a product of units has no name."""
+    """A unit: dimension, factor to SI, SI name, powers of base units; products are unnamed."""
 
     name: str
     dimension: str
@@ -35,7 +35,7 @@ class Unit:
     powers: Mapping[str, int]
 
     def times(self, other: Unit, power: int = 1) -> Unit:
-        """Return the product with a power of another one."""
+        """Return the product with a power of another unit."""
         bases = dict.fromkeys([*self.powers, *other.powers])
         powers = {base: self.powers.get(base, 0) + power * other.powers.get(base, 0) for base in bases}
         return Unit("", "", self.factor * other.factor**power, "", {base: p for base, p in powers.items() if p})
@@ -122,7 +122,7 @@ QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)
 
 
 def per(above: str, below: str) -> str:
-    """Return the unit of a quotient, as drives write it: "A s/rad" of "A" and "rad/s", "N m/(rad s)" of "rad s"."""
+    """Return the unit of a quotient: "A s/rad" for "A" and "rad/s"."""
     over, stroke, under = below.partition("/")
     if stroke:
         return f"{above} {under}/{over}"
@@ -158,7 +158,7 @@ def parse_unit(text: str) -> Unit:
     """Parse a product, quotient or power of units.
 
     Raises:
-        UnitError: a unit in it is not known, or it cannot be read; the message is the rest of a sentence.
+        UnitError: the text is invalid or has an unknown unit; the message is the rest of a sentence.
     """
     if "," in text:
         raise UnitError('write the number with a point, as "0.8 A s/rad"')
@@ -175,10 +175,10 @@ def parse_unit(text: str) -> Unit:
 
 
 def _read_product(words: Iterator[str]) -> Unit:
-    """Parse factors as far as a closing bracket, or the last.
+    """Parse factors up to a closing bracket or the end.
 
     Raises:
-        ValueError: behind a stroke stands a product, or nothing.
+        ValueError: a product or nothing follows a stroke.
     """
     found, power, divided = Unit("", "", 1.0, "", {}), 1, False
     for word in words:
