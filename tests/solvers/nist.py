@@ -40,9 +40,6 @@ class Certified:
     def free(self) -> tuple[Parameter, ...]:
         return tuple(Parameter(f"b{i + 1}", f"b{i + 1}", Quantity.RATIO) for i in range(len(self.values)))
 
-    def residual(self, b: Array) -> Array:
-        return self.linearise(b)[0]
-
     def linearise(self, b: Array) -> tuple[Array, Array]:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             predicted, slopes = self.model(b, self.x)

@@ -50,9 +50,6 @@ class Rosenbrock:
     def free(self) -> tuple[Parameter, ...]:
         return Parameter("x", "x", Quantity.FORCE, upper=self.upper), Parameter("y", "y", Quantity.FORCE)
 
-    def residual(self, x: Array) -> Array:
-        return self.linearise(x)[0]
-
     def linearise(self, x: Array) -> tuple[Array, Array]:
         a, b = x[0], x[1] * 1e12
         return np.array([10 * (b - a * a), 1 - a]), np.array([[-20 * a, 1e13], [-1.0, 0.0]])
@@ -202,9 +199,6 @@ class Well:
     @property
     def free(self) -> tuple[Parameter, ...]:
         return (Parameter("x", "x", Quantity.FORCE),)
-
-    def residual(self, x: Array) -> Array:
-        return self.linearise(x)[0]
 
     def linearise(self, x: Array) -> tuple[Array, Array]:
         return x / (1 + x**2), ((1 - x**2) / (1 + x**2) ** 2)[:, np.newaxis]

@@ -29,7 +29,7 @@ from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import Spring
 from jointid.simulation.simulate import Run, motion_at
 from jointid.simulation.start import wound_up
-from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, Tally, solve
+from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, solve
 from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
@@ -90,30 +90,24 @@ class History:
         progress: receives each step.
         tolerance: of the parameters and the criterion, that the search ends with.
         evaluations: of a descent, at most.
-        tally: of the evaluations of all.
+        counted: the problem that is solved, with the evaluations of all.
     """
 
     progress: Progress
     tolerance: float = 1e-8
     evaluations: int = 200
-    tally: Tally = field(default_factory=Tally)
-    _last: Counted | None = None
-
-    def count_evaluations(self, problem: Any) -> Counted:
-        """Return the problem with counted evaluations; it remembers the last point that was linearised."""
-        if self._last is None or self._last.problem is not problem:
-            self._last = Counted(problem, self.tally)
-        return self._last
+    counted: Counted = field(default_factory=Counted)
 
     def solve(self, problem: Any, start: FloatArray, solver: LevenbergMarquardt | None = None) -> Solved:
         """Descend from a start, to the tolerance or by another solver, and report the steps."""
         solver = solver or least_squares(self.tolerance, self.evaluations)
+        self.counted.problem = problem
         size = problem.size or 1.0
 
         def watch(step: Step) -> None:
             self.progress(Detail(f"torque error {100 * step.norm / size:.4f} %"))
 
-        return Solved(problem, solve(self.count_evaluations(problem), solver, start, watch))
+        return Solved(problem, solve(self.counted, solver, start, watch))
 
 
 def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
@@ -229,10 +223,11 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
     # A regression keeps no bounds; an inertia of the wrong sign is that of a torque of the wrong sign.
     x, inertias = problem.vector(start), [p.quantity is Quantity.INERTIA for p in problem.free]
     x = np.where(inertias, x, Bounds.of(problem.free).clip(x))
-    there, counted = problem.values(x), history.count_evaluations(problem)
+    there, counted = problem.values(x), history.counted
     homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
     started = [problem.vector(there | {"initial_position": home}) for home in homes]
-    started.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
+    started.sort(key=lambda one: float(np.linalg.norm(problem.residual(one))))
+    counted.problem, counted.evaluations = problem, counted.evaluations + len(started)
     if not np.any(counted.linearise(started[0])[1]):
         stated = problem.values(started[0])
         joint = ", ".join(f"{p.name} {number(stated[p.name], 3)} {problem.units[p.name]}" for p in problem.free_joint)

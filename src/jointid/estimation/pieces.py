@@ -233,10 +233,6 @@ class Records:
         pairs = list(zip(self.rows(x), self.sigma, strict=True))
         return np.concatenate([e / s for (e, _), s in pairs]), np.concatenate([J / s for (_, J), s in pairs])
 
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the weighted residual, (rows,)."""
-        return self.linearise(x)[0]
-
     def weigh(self, x: FloatArray) -> Records:
         """Return the problem weighted by the levels of the residuals at a candidate."""
         least = _QUIETEST * max(problem.size for problem in self.problems)
@@ -601,10 +597,6 @@ class WindowsOfLog:
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rows with the sums of all windows: residual, (rows,), and derivatives, (rows, free)."""
         return rows_of(self.pass_over(x).sums)
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual of these rows, (rows,)."""
-        return self.linearise(x)[0]
 
     def pass_over(self, x: FloatArray) -> Pass:
         """Return the sums at a candidate, from a pass over all windows.

@@ -143,8 +143,7 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
         except MethodError as error:
             failures.append(error)
             continue
-        left = history.count_evaluations(found.problem).residual(found.x)
-        ends.append((float(np.linalg.norm(left)) / found.problem.size, found))
+        ends.append((found.norm / found.problem.size, found))
         if ends[-1][0] <= LITTLE:
             break
     if not ends:
@@ -315,7 +314,7 @@ def _explore(
     each = list(product(row, inertias, shares))
     starts = [start_with_mode(problem, {**rigid, "inertia": n * rigid["inertia"]}, f, share) for f, n, share in each]
     costs = in_threads(lambda start: float(np.linalg.norm(problem.residual(problem.vector(start)))), starts)
-    history.tally.evaluations += len(starts)
+    history.counted.evaluations += len(starts)
     found = dict[object, dict[str, float]]()
     for i in np.argsort(costs):
         if costs[i] < _UNSTABLE * problem.size:  # a start beside another leads nowhere new

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -35,11 +35,8 @@ class Problem(Protocol):
     def free(self) -> tuple[Parameter, ...]:
         """Identified parameters with bounds, in the order of vectors and columns."""
 
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Residual, (rows,); large and finite where simulation fails."""
-
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual, (rows,), and derivatives, (rows, free); the latter 0 where simulation fails."""
+        """Residual, (rows,), and derivatives, (rows, free); large and finite, and 0, where simulation fails."""
 
 
 class Status(Enum):
@@ -107,49 +104,36 @@ class Solution:
         return self.status.converged
 
 
-@dataclass(slots=True)
-class Tally:
-    """An evaluation count that problems can share."""
-
-    evaluations: int = 0
-
-
+@dataclass(slots=True, eq=False)
 class Counted:
     """Wrapper that counts evaluations and caches the last linearised point.
 
     Attributes:
-        tally: where its evaluations are counted, with or without derivatives.
+        problem: that is evaluated; another one may follow it.
+        evaluations: of all of them, with or without derivatives.
     """
 
-    def __init__(self, problem: Problem, tally: Tally | None = None) -> None:
-        self.problem, self.tally = problem, tally or Tally()
-        self._last: tuple[FloatArray, tuple[FloatArray, FloatArray]] | None = None
-
-    @property
-    def evaluations(self) -> int:
-        """Evaluations so far, of all problems that share the tally."""
-        return self.tally.evaluations
+    problem: Any = None
+    evaluations: int = 0
+    _last: tuple[Any, FloatArray, tuple[FloatArray, FloatArray]] | None = None
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         """Identified parameters."""
-        return self.problem.free
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual, (rows,)."""
-        self.tally.evaluations += 1
-        return self.problem.residual(x)
+        free: tuple[Parameter, ...] = self.problem.free
+        return free
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free)."""
-        if self._last is None or not np.array_equal(self._last[0], x):
-            self.tally.evaluations += 1
-            self._last = (x.copy(), self.problem.linearise(x))
-        return self._last[1]
+        last = self._last
+        if last is None or last[0] is not self.problem or not np.array_equal(last[1], x):
+            self.evaluations += 1
+            last = self._last = (self.problem, x.copy(), self.problem.linearise(x))
+        return last[2]
 
     def remember(self, x: FloatArray, residual: FloatArray, derivatives: FloatArray) -> None:
         """Cache the residual and derivatives at a point."""
-        self._last = (x.copy(), (residual, derivatives))
+        self._last = (self.problem, x.copy(), (residual, derivatives))
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,28 +249,6 @@ def damped_step(
 # Linear least squares by QR
 
 _RANK = 1e-10  # of the largest: a normalised singular value below this is a parameter nothing excites
-
-
-@dataclass(frozen=True, slots=True)
-class Conditioning:
-    """The condition number of a regressor, by three definitions.
-
-    Attributes:
-        raw: of the columns as they are; depends on the units.
-        normalised: of the columns divided by their norms.
-        scaled: of the columns multiplied by the estimates: what each parameter contributes to the torque.
-    """
-
-    raw: float
-    normalised: float
-    scaled: float
-
-
-def conditioning(W: FloatArray, values: FloatArray) -> Conditioning:
-    """Return the condition numbers of a regressor, (rows, parameters), at estimates, (parameters,)."""
-    norms = np.linalg.norm(W, axis=0)
-    R, scale = np.asarray(np.linalg.qr(W / norms, mode="r")), np.where(values == 0.0, 1.0, np.abs(values))
-    return Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
 
 
 def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:

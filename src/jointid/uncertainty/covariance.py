@@ -329,7 +329,9 @@ class Influence:
         used = int(np.sum(np.any(self.columns != 0.0, axis=0)))
         spectrum, both = smoothed_spectrum(self.error, max(len(self.columns) - used, 1))
         weights = np.concatenate([spectrum[:1], both * spectrum])
-        return self.covariance(sum_over_frequencies(self.columns, weights) / len(self.columns))
+        spectra = np.fft.rfft(self.columns, axis=0)
+        meat = np.real((weights[:, np.newaxis] * spectra.conj()).T @ spectra)
+        return self.covariance(np.asarray(meat) / len(self.columns))
 
     def by_frequency(self) -> FloatArray:
         """Change of the estimate by each frequency's residual, (frequencies, parameters)."""
@@ -408,17 +410,6 @@ def smoothed_spectrum(signal: FloatArray, degrees: int, rows: int | None = None)
     both = np.full(periodogram.size, 2.0)
     both[-1] = 2.0 if rows % 2 else 1.0
     return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), "valid"), both
-
-
-def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return ``sum_f w(f) X(f)* X(f)'``, (columns, columns).
-
-    Args:
-        columns: (samples, columns), whose transform is X.
-        weights: (samples // 2 + 1,) of each frequency.
-    """
-    spectra = np.fft.rfft(columns, axis=0)
-    return np.asarray(np.real((weights[:, np.newaxis] * spectra.conj()).T @ spectra))
 
 
 def _scores_by_frequency(J: FloatArray, error: FloatArray) -> FloatArray:

@@ -167,6 +167,28 @@ def find_unseen(J: FloatArray) -> FloatArray:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
+@dataclass(frozen=True, slots=True)
+class Conditioning:
+    """The condition number of a regressor, by three definitions.
+
+    Attributes:
+        raw: of the columns as they are; depends on the units.
+        normalised: of the columns divided by their norms.
+        scaled: of the columns multiplied by the estimates: what each parameter contributes to the torque.
+    """
+
+    raw: float
+    normalised: float
+    scaled: float
+
+
+def conditioning(W: FloatArray, values: FloatArray) -> Conditioning:
+    """Return the condition numbers of a regressor, (rows, parameters), at estimates, (parameters,)."""
+    norms = np.linalg.norm(W, axis=0)
+    R, scale = np.asarray(np.linalg.qr(W / norms, mode="r")), np.where(values == 0.0, 1.0, np.abs(values))
+    return Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
+
+
 def find_separable(J: FloatArray) -> NDArray[np.bool_]:
     """Mask of the parameters that the record separates, (free,)."""
     return np.asarray(np.all(np.abs(find_unseen(J)) <= _PART, axis=0))

@@ -104,10 +104,6 @@ class Reparametrised:
     free: tuple[Parameter, ...]
     turn: Callable[[Any], Any]
 
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual, (rows,)."""
-        return self.problem.residual(self.turn(x))
-
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free); those of `turn` by complex steps."""
         error, J = self.problem.linearise(self.turn(x))
@@ -144,15 +140,10 @@ class _Held:
     def free(self) -> tuple[Parameter, ...]:
         return self.problem.free
 
-    def residual(self, x: FloatArray) -> FloatArray:
-        return self._add_row(self.problem.residual(x), x)
-
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         residual, J = self.problem.linearise(x)
-        return self._add_row(residual, x), np.vstack([J, self.stiffness * self.weights])
-
-    def _add_row(self, residual: FloatArray, x: FloatArray) -> FloatArray:
-        return np.append(residual, self.stiffness * (self.weights @ x - self.value))
+        row = self.stiffness * (self.weights @ x - self.value)
+        return np.append(residual, row), np.vstack([J, self.stiffness * self.weights])
 
 
 class _Point(NamedTuple):
@@ -166,8 +157,6 @@ def profile(
     x: FloatArray,
     combination: Combination,
     covariance: Covariance,
-    solver: LevenbergMarquardt = _SOLVER,
-    points: int = _POINTS,
 ) -> ProfileInterval:
     """Profile a parameter or a weighted sum about an estimate.
 
@@ -176,8 +165,6 @@ def profile(
         x: (free,) the estimate.
         combination: the quantity.
         covariance: of the free parameters.
-        solver: of the fits with the quantity held.
-        points: at most, on each side.
     """
     from scipy.special import stdtrit
 
@@ -188,7 +175,7 @@ def profile(
     threshold = half**2 / flat if flat else 0.0
 
     def fit(value: float, start: FloatArray) -> _Point:
-        end = solve(_Held(counted, weights, _HELD / math.sqrt(flat or 1.0), value), solver, start)
+        end = solve(_Held(counted, weights, _HELD / math.sqrt(flat or 1.0), value), _SOLVER, start)
         error = end.residual[:-1]
         return _Point(float(weights @ end.x), float(error @ error), end.x)
 
@@ -197,7 +184,7 @@ def profile(
     for sign in (-1.0, 1.0) if threshold else ():
         furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)
         limit = float(np.sum(weights[own] * furthest[own]))
-        found += _follow(fit, centre, direction, sign * half, limit, threshold, points)
+        found += _follow(fit, centre, direction, sign * half, limit, threshold, _POINTS)
     found.sort(key=lambda point: point.value)
     best = int(np.argmin([point.cost for point in found]))
     values = np.array([point.value for point in found])

@@ -166,7 +166,7 @@ class DIDIM(Method):
             problem.filtered_error(error),
             error.size,
             end,
-            history.tally.evaluations,
+            history.counted.evaluations,
             Settings(self.name, "DIDIM by least squares", problem.joint, problem.loop_at(x), filtering, delay),
             checks=residual_checks(white, known.repeatable),
             known=identifiability(problem.free, problem.units, x, J, known.covariance),

@@ -164,7 +164,7 @@ class DriveSideFit(Method):
             problem.filtered_error(error),
             error.size,
             (found.message, found.converged),
-            history.tally.evaluations,
+            history.counted.evaluations,
             Settings(self.name, "drive-side by least squares", problem.joint, None, problem.filtering, late),
             ("torque", "motor_position"),
             warnings=tuple(warnings),

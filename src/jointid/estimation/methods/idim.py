@@ -50,8 +50,8 @@ from jointid.records.signals.filtering import Filtering, describe_noise_limit
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome, motion_at, run_loop
 from jointid.simulation.start import Initial
-from jointid.solvers.solve import conditioning
 from jointid.uncertainty.covariance import LEVEL, SHOWN
+from jointid.uncertainty.identifiability import conditioning
 from jointid.uncertainty.model_tests import durbin_wu_hausman
 
 VARIANTS = {

@@ -29,9 +29,8 @@ from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.solvers.solve import Conditioning
 from jointid.uncertainty.covariance import INTERVAL, Covariance
-from jointid.uncertainty.identifiability import Identifiability
+from jointid.uncertainty.identifiability import Conditioning, Identifiability
 
 if TYPE_CHECKING:
     import jointid

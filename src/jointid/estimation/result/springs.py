@@ -405,7 +405,7 @@ def _compute_cost_limit(made: ModeProfile) -> float:
     stiff, softer = (describe(problem, made.room, {"share": _SHARE, "mode": mode}) for mode in (high, high / 1.2))
     x = np.array([made.stiff.at[p.name] for p in stiff.free])
     error, J = stiff.linearise(x)
-    bent = softer.residual(x) - error
+    bent = problem.residual(softer.turn(x)) - error
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
     return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)

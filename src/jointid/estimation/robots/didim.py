@@ -364,7 +364,7 @@ class _Search:
             with suppress(MethodError):
                 seen = _go_on(replace(problem, sigma=rough.sigma), end, _CLOSE, history, evaluations=1)
                 seen = seen._replace(solution=replace(seen.solution, status=end.solution.status))
-                return conclude(seen, history.tally.evaluations, most=0.0)
+                return conclude(seen, history.counted.evaluations, most=0.0)
         fit = _settle(problem, _go_on(_reweight(end), end, _CLOSE, history), history)
         if np.all(problem.norms(problem.error(fit.runs)) >= problem.norms(problem.error(rigid.runs))):
             raise MethodError(
@@ -427,7 +427,8 @@ def _go_on(
     if problem.logs is end.problem.logs:  # it is linearised there
         error, slopes = linearise_again(end)
         weights = problem.weights(error.size)
-        history.count_evaluations(problem).remember(end.x, error * weights, -slopes * weights[:, np.newaxis])
+        history.counted.problem = problem
+        history.counted.remember(end.x, error * weights, -slopes * weights[:, np.newaxis])
     return _descend(problem, end.x, aim, history, evaluations)
 
 
@@ -447,7 +448,7 @@ def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
         end = _go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size), history)
         if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < _STEADY):
             break
-    return conclude(end, history.tally.evaluations)
+    return conclude(end, history.counted.evaluations)
 
 
 def _reweight(end: Solved) -> Simulated:
