@@ -1,4 +1,4 @@
-"""The joint file and the robot file (TOML): what is identified, from which record, and how."""
+"""The joint file and the robot file (TOML): joint, record and method."""
 
 from jointid.config.axis import Axis
 from jointid.config.file import File

@@ -1,6 +1,6 @@
-"""One axis of a file: its joint, columns, drive and controller, their units, and its records.
+"""One axis of a file: joint, columns, drive, controller, units and records.
 
-The torque constant is given once, below [joint], for the torque's channel and the controller.
+The torque constant is declared once, in [joint], for the torque channel and the controller.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from jointid.records.reading import RecordReader
 from jointid.records.record import Record
 from jointid.records.writing import columns_to_write
 
-_AGREES = 1e-3  # of a gain: one that is written with four digits is the torque constant
+_AGREES = 1e-3  # relative tolerance of a declared gain, which may be rounded to four digits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisUnits:
-    """Units in which a file gives the numbers of an axis.
+    """Units of an axis's numbers in a file.
 
     Attributes:
-        kind: how the load moves.
-        gear: between motor and load.
+        kind: motion of the load.
+        gear: transmission between motor and load.
         drive: with the torque constant.
-        torque: unit of the torque's channel as the joint has it: "A", "V", or None for N or N m.
-        side: of the controller's numbers.
+        torque: unit of the joint's torque: "A", "V", or None for N or N m.
+        side: side of the transmission to which the controller's numbers refer.
     """
 
     kind: Kind = "revolute"
@@ -60,21 +60,21 @@ class AxisUnits:
 
     @property
     def constant(self) -> float | None:
-        """The torque constant: torque per plain number of a controller on the motor's side."""
+        """Motor torque per ampere or volt of controller output; None if unknown."""
         return self.drive.torque_constant or self.drive.torque_per_volt
 
     @property
     def plain_gain(self) -> float:
-        """The gain of a controller whose numbers are given without a unit."""
+        """Gain of a controller whose numbers are given without a unit."""
         return 1.0 if self.constant is None else self.constant * self._through
 
     @property
     def _through(self) -> float:
-        """The torque on the controller's side per torque of the motor."""
+        """Torque on the controller's side per motor torque."""
         return 1.0 if self.gear is None or self.side == "motor" else abs(self.gear.motor_per_load)
 
     def find_torque_unit(self, column: Column | None) -> str | None:
-        """Return the unit of the torque's channel for `torque`; None also for one that is not known."""
+        """Return the torque channel's unit if it is "A" or "V", else None."""
         kind = self.kind_of(self.drive.side("torque", column))
         known = known_units("torque", kind)
         stated = None if column is None else column.stated_unit(known)
@@ -87,12 +87,12 @@ class AxisUnits:
         return None if unit in TORQUE_UNIT.values() else unit
 
     def gain(self, law: Controller, given: float | None, texts: Mapping[str, str]) -> tuple[float, str]:
-        """Return the gain from a controller's output to torque on its side, given or known, and the output's unit.
+        """Return a controller's gain from output to torque, and its output unit.
 
-        Texts are those of its numbers that are given with a unit, by the path of their key.
+        `texts` are its numbers given with a unit, by path of the key.
 
         Raises:
-            JointFileError: it is not known, or its numbers are of different outputs.
+            JointFileError: the gain is unknown, or the numbers imply different outputs.
         """
         found, kind = dict[str, str](), self.kind_of(self.side)
         for name in (one for one in texts if one in numbers_of(law)):
@@ -116,10 +116,10 @@ class AxisUnits:
         return given or known or 1.0, output
 
     def _torque_per(self, output: str) -> float | None:
-        """Return the torque per unit of an output; None where nothing but a gain can say it."""
+        """Return the torque per unit of an output; None if unknown."""
         try:
             unit = self.drive.resolve_unit(units.unit(output), self.kind_of("motor"))
-        except UnitError:  # a share of a rated torque that is not there
+        except UnitError:  # a share of an undeclared rated torque
             return None
         fits = unit.si in TORQUE_UNIT.values() if self.torque is None else unit.si == self.torque
         return unit.factor * self._through if fits else None
@@ -131,15 +131,15 @@ class Axis:
 
     Attributes:
         name: of the joint.
-        joint: the model; its torque is in A or V where the torque's channel is.
-        columns: the channels, and where they are found; with a profile of the drive it finds the others.
-        controller: the controller's law as the joint sees it through its transmission, None while it is not known.
-        drive: whose traces the record is made of, and the numbers behind its units.
+        joint: the model; its torque is in A or V if that of the channel is.
+        columns: columns of the channels; the drive's profile finds the others.
+        controller: controller referred to the joint through its transmission; None if unknown.
+        drive: profile of the traces, and the drive's units.
         source: the file of the record.
-        parameters: changes to the parameters by name, as `identify` takes them.
-        limits: of the axis in a test that is planned; see `jointid.design`.
+        parameters: changed parameters by name, for `identify`.
+        limits: test limits of the axis; see `jointid.design`.
         needed: channels that the method reads.
-        units: of the controller's numbers, as the file gives them.
+        units: units of the controller's numbers in the file.
     """
 
     name: str | None
@@ -155,17 +155,17 @@ class Axis:
 
     @property
     def loop(self) -> ClosedLoop | None:
-        """The joint under its controller, None while the controller is not known."""
+        """The joint with its controller; None without a controller."""
         return None if self.controller is None else ClosedLoop(self.joint, self.controller)
 
     @property
     def computes_torque(self) -> bool:
-        """Whether the torque is computed from the controller and the motor position."""
+        """True if the torque is computed from controller and motor position."""
         logged = "torque" in self.columns or self.drive.traces is not None or self.source.torque == "logged"
         return self.source.torque == "from_controller" or (not logged and self.controller is not None)
 
     def read_record(self, table: RecordedTable, name: str, *, driving: bool = False) -> Record:
-        """Return the record of this axis, called so, from a table of columns; see `File.record`."""
+        """Return this axis's record from a table of columns; see `File.record`."""
         columns = self._driving_columns(table.columns) if driving else self.channels
         record = RecordReader(columns, **self.reading).build_record(table, name)
         if driving:
@@ -181,20 +181,20 @@ class Axis:
         seen = ("torque", "motor_position", "load_position")
         columns = {name: replace(c, optional=True) if name in seen else c for name, c in self.channels.items()}
         added = [one for one in (f"{self.name}.injected", "injected") if one in there]
-        if added and "injected" not in columns and self.drive.traces is None:  # a designed test has it
+        if added and "injected" not in columns and self.drive.traces is None:  # present in a designed test
             columns["injected"] = self.column_like("torque", added[0])
         return columns
 
     def column_like(self, channel: str, name: str) -> Column:
-        """Return the column of a signal that is not declared, in the unit and on the side of a channel."""
+        """Return an undeclared column, with unit and side of a channel."""
         like = self.columns.get(channel, Column())
         unit = like.stated_unit(known_units(channel, self.units.kind_of("motor")))
         return replace(like, column=name, unit=unit, optional=False, timing=None, tap=None, sample_time=None)
 
     def with_columns_of(self, test: Record, prefix: str = "") -> Axis:
-        """Return the axis with a column of every channel of a designed test, and with the test's clock.
+        """Return the axis with the channels and clock of a designed test.
 
-        A column that the file does not name is in the unit of the motor's position, or of the torque.
+        An undeclared column has the unit of the motor position or of the torque.
         """
         columns, like = dict(self.columns), {"reference": "motor_position", "injected": "torque"}
         for name in test.channels:
@@ -205,25 +205,25 @@ class Axis:
         return replace(self, columns=columns, source=source)
 
     def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
-        """Return the columns of the file that `File.write` makes, by their names."""
+        """Return the columns that `File.write` writes, by name."""
         source, frame = self.source, Frame(self.drive, self.joint.kind, self.joint.transmission)
         return columns_to_write(record, self.columns, frame, source.time, source.time_unit, source.sample_time)
 
     @property
     def channels(self) -> dict[str, Column]:
-        """The channels to read: those that the method needs, and others if they are there."""
+        """Channels to read: needed ones, and optional others."""
         needed = {*self.needed, "injected"}
         if self.computes_torque and self.controller is not None:
             needed |= {"motor_position", *self.controller.channels}
         columns = {n: c if n in needed else replace(c, optional=True) for n, c in self.columns.items()}
-        if self.drive.traces is not None:  # it is to find what the method needs and the file does not name
+        if self.drive.traces is not None:  # let the profile find needed channels that the file does not declare
             unsought = {"injected", "torque"} if self.computes_torque else {"injected"}
             columns |= {n: Column() for n in needed - unsought if n not in columns}
         return columns
 
     @property
     def reading(self) -> dict[str, Any]:
-        """Arguments of reading a record, beside its columns."""
+        """Arguments of `RecordReader` except the columns."""
         source = self.source
         clock = {"time": source.time, "time_unit": source.time_unit, "sample_time": source.sample_time}
         joint = {"drive": self.drive, "kind": self.joint.kind, "transmission": self.joint.transmission}
@@ -231,10 +231,10 @@ class Axis:
         return {**clock, **joint, "resample": source.resample, "cut": cut}
 
     def values(self) -> dict[str, float]:
-        """Return a value for every parameter of the joint, for a simulation: fixed values and starts.
+        """Return the joint's parameter values for a simulation: fixed and initial values.
 
         Raises:
-            MethodError: a parameter has neither.
+            MethodError: a parameter has no value.
         """
         parameters = [self.parameters.get(p.name, p) for p in self.joint.parameters]
         missing = [p.name for p in parameters if p.start is None]
@@ -247,9 +247,9 @@ class Axis:
 
 
 def build_axis(own: Values, kind: Kind, given: Mapping[str, Any]) -> tuple[Axis, Method]:
-    """Return an axis of a file from its tables, see `read_tables`, and its method; refuse contradictions between them.
+    """Build an axis and its method from tables of `read_tables`; refuse contradictions.
 
-    Its load moves in that kind; `given` are the keys of [method], without a name of the first whose needs are met.
+    `kind` is the load's motion, `given` the keys of [method]; the method's name is chosen if absent.
     """
     at, source, drive, stated = own["at"], own["source"], own["drive"], own["controller"]
     through = own["transmission"]
@@ -289,7 +289,7 @@ def build_axis(own: Values, kind: Kind, given: Mapping[str, Any]) -> tuple[Axis,
 
 
 def _find_side(channel: str, column: Column, gear: Transmission) -> Column:
-    """Return a column, of the load where its unit is one of the load's motion alone: mm behind a screw."""
+    """Assign a column to the load if only its motion has the unit."""
     motor, load = (known_units(channel, gear.kind_of(side)) for side in SIDES)
     alone = column.side is None and column.stated_unit(load) in {*load} - {*motor}
     return replace(column, side="load") if alone else column
@@ -304,7 +304,7 @@ def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any)
 
 
 def _build_joint(own: Values, kind: Kind, gear: Transmission | None, unit: str | None) -> Joint:
-    """Build the joint, its torque in A or V where the torque's channel is."""
+    """Build the joint; its torque has the channel's unit, A or V."""
     weight, place = own["gravity"], own["at"]("joint")
     if weight is not None and gear is not None:
         weight = replace(weight, angle=weight.angle * gear.torque("load"))
@@ -321,9 +321,9 @@ def _build_joint(own: Values, kind: Kind, gear: Transmission | None, unit: str |
 
 
 def _choose_method(axis: Axis, model: str) -> str:
-    """Return the first default method whose needs are met; DIDIM if none's are, which then says what it needs.
+    """Return the first default method with all its channels, else DIDIM.
 
-    DIDIM comes first, even where there is a motor position, which it does not read.
+    DIDIM comes first, even with a motor position, which it does not read. It reports missing channels.
     """
     law, found = axis.controller, {*axis.columns}
     found |= {*(() if axis.drive.traces is None else axis.drive.traces.channels)}
@@ -337,7 +337,7 @@ def _choose_method(axis: Axis, model: str) -> str:
 
 
 def _change_parameters(joint: Joint, stated: Mapping[str, Values], place: Place) -> dict[str, Parameter]:
-    """Return parameters of the model with the file's values and the tighter bounds."""
+    """Return the model's parameters with declared values and the tighter bounds."""
     known, changed, faults = {one.name: one for one in joint.parameters}, dict[str, Parameter](), list[Fault]()
     for name, one in stated.items():
         own = known.get(name)
@@ -361,7 +361,7 @@ def _change_parameters(joint: Joint, stated: Mapping[str, Values], place: Place)
 
 
 def _check_units(own: Values, axis: Axis) -> Iterator[Fault]:
-    """Yield numbers in units of another motion."""
+    """Yield faults of units of another kind of motion."""
     units, at, texts = axis.units, own["at"], own["texts"]
     kinds = {at("controller"): units.kind_of(units.side), at("limits"): axis.joint.kind}
     for place, (text, declared) in texts.items():
@@ -381,7 +381,7 @@ def _check_units(own: Values, axis: Axis) -> Iterator[Fault]:
 
 
 def _check_torque(axis: Axis) -> Iterator[Fault]:
-    """Yield a torque, or an injected signal, in a unit that the other tables contradict."""
+    """Yield faults of torque and injected units that contradict other tables."""
     units, channels = axis.units, ("record", "channels")
     for name, column in axis.columns.items():
         known = known_units(name, units.kind_of(axis.drive.side(name, column)))
@@ -401,7 +401,7 @@ def _check_torque(axis: Axis) -> Iterator[Fault]:
 
 
 def _check_runs(own: Values, axis: Axis) -> Iterator[Fault]:
-    """Yield parameters of a record's own that the joint has not."""
+    """Yield faults of unknown parameters of individual records."""
     known = {parameter.name for parameter in axis.joint.parameters}
     for number, run in enumerate(own["records"]):
         if unknown := set(run.own) - known:

@@ -1,10 +1,10 @@
-"""The reader of a file's tables: each key is a setting of the class that uses it.
+"""Reader of a file's tables, whose keys are settings of classes.
 
-A setting (`jointid.common.settings`) declares type, unit, bounds, default and words. `jointid.config.tables` says which
-tables there are. A fault is a sentence with place and code.
+A setting (`jointid.common.settings`) declares type, unit, bounds, default and meaning. `jointid.config.tables` declares
+the tables. A fault is a sentence with place and code.
 
-A number is SI, or in the controller's units; a text is a number with a unit that measures what the setting's
-declaration says. The value is taken to SI where it is read, and its words are kept for a file that is written.
+A number is SI, or in the controller's units; a text is a number with a unit of the declared dimension. Reading converts
+it to SI and keeps the text for files that are written.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from jointid.common.units import Kind, UnitError
 from jointid.models.controllers import CONTROLLER_UNITS
 
 Place: TypeAlias = tuple[int | str, ...]
-"""Keys and indices that lead to a value."""
+"""Path of a value: keys and indices."""
 
-_MOST = 10**9  # of what is counted
-_MOST_KEYS = 1000  # of a table, or tables of a list: each of more would be a sentence
-_WRONG: Any = object()  # stands for a value that has a fault
+_MOST = 10**9  # largest integer
+_MOST_KEYS = 1000  # largest number of keys of a table or tables of a list, each of which may give a fault
+_WRONG: Any = object()  # placeholder of a faulty value
 _SHORT, _LONG = ("integral_time", "time_constant", "period", "delay"), 2.0  # s: a longer one may be in ms
 _MEANT = {"P-PI": "cascade", "P-P": "cascade", "rotary": "revolute", "rotation": "revolute", "linear": "prismatic"}
 
@@ -36,12 +36,12 @@ OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "r
 
 
 def fault_at(place: Place, rest: str, code: str = "contradiction") -> Fault:
-    """Return a fault whose sentence begins with its place; without a code of values that are right by themselves."""
+    """Return a fault whose sentence begins with its place; default code: contradiction."""
     return Fault(f"{messages.dot_path(place)}{rest}", place, code)
 
 
 def locate(error: JointidError, place: Place) -> JointFileError:
-    """Return an error with its faults at a place, below which theirs are."""
+    """Prefix the places of an error's faults with a place."""
     inner = [fault for fault in getattr(error, "faults", ()) if fault.place]
     before = f"{messages.dot_path(place)}." if place else ""
     found = [Fault(f"{before}{fault}", (*place, *fault.place), fault.code) for fault in inner]
@@ -53,11 +53,11 @@ class Table:
     """A table of a file.
 
     Attributes:
-        keys: the declaration of each.
-        make: takes the values that are given, by key. The places of a `JointFileError` of it begin in the table.
-        shorthand: the key whose value may be written instead of the table.
-        instead: by a key that says another one in other words that one, and what the product of both is.
-        decided_by: the key that says which of `variants` the table is; without it the first.
+        keys: declaration of each key.
+        make: constructor; takes the given values by key. Places in its `JointFileError` are relative to the table.
+        shorthand: the key whose value may replace the table.
+        instead: alternative keys, with the key that each replaces and the product of both values.
+        decided_by: the key that selects one of `variants`; the first by default.
     """
 
     keys: Mapping[str, Setting]
@@ -69,7 +69,7 @@ class Table:
 
 
 def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> dict[str, Setting]:
-    """Return the keys that are settings of classes, of one system if it is named; one of several is described once."""
+    """Return the settings of classes as keys, of one system; merge duplicates."""
     found: dict[str, list[Setting]] = {}
     for one in (one for owner in owners for one in settings_of(owner)):
         foreign = system and one.systems and system not in one.systems
@@ -79,19 +79,19 @@ def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> di
 
 
 def _merge(same: list[Setting]) -> Setting:
-    """Return one declaration of a setting that several classes have; its default is that of all, or none."""
+    """Merge declarations of one setting; keep a default common to all."""
     merged = replace(same[0], help="; ".join(dict.fromkeys(one.help for one in same)))
     return merged if len({str(one.default) for one in same}) == 1 else replace(merged, default=None, optional=True)
 
 
 def key(name: str, kind: Any, help_text: str, default: Any = None, **declared: Any) -> dict[str, Setting]:
-    """Return a key that no class has as a setting; `MISSING` is the default of one that must be there."""
+    """Declare a key that is no class's setting; default `MISSING` requires it."""
     return {name: Setting(help_text, name=name, type=kind, optional=default is None, default=default, **declared)}
 
 
 @cache
 def table_of(kind: Any) -> Table | None:
-    """Return the table by which values of a type are written; None for a type of single values."""
+    """Return the table that declares a type; None for single values."""
     if isinstance(kind, Table):
         return kind
     keys = keys_of(kind) if get_origin(kind) is None and is_dataclass(kind) else {}
@@ -99,17 +99,17 @@ def table_of(kind: Any) -> Table | None:
 
 
 def table_of_items(kind: Any) -> Table | None:
-    """Return the table of each item of a list, or of each value of a mapping; None for other types."""
+    """Return the table of a list's items or mapping's values, else None."""
     arguments = get_args(kind)
     return table_of(arguments[0 if get_origin(kind) is tuple else -1]) if arguments else None
 
 
 class Reader:
-    """Reads tables, and keeps a sentence for each fault.
+    """Reads tables, and collects faults.
 
     Attributes:
         faults: found so far.
-        texts: by their places numbers that are given with a unit, each with the unit of its declaration.
+        texts: numbers given with a unit, each with the declared unit, by place.
     """
 
     def __init__(self) -> None:
@@ -117,7 +117,7 @@ class Reader:
         self.texts = dict[Place, tuple[str, str]]()
 
     def read_all(self, kind: Any, raw: Mapping[str, Any]) -> Any:
-        """Make an object of a `Table`, or a dataclass whose settings are its keys, from tables as `tomllib` reads them.
+        """Make an object of a `Table` or dataclass from tables of `tomllib`.
 
         Raises:
             JointFileError: with one sentence for each fault.
@@ -130,7 +130,7 @@ class Reader:
         return made
 
     def read(self, table: Table, raw: Any, place: Place) -> Any:
-        """Make an object of a table; the result is meaningless where it has a fault."""
+        """Make an object of a table; meaningless if the table is faulty."""
         if table.shorthand and not isinstance(raw, dict):
             raw = {table.shorthand: raw}
         if not isinstance(raw, dict) or len(raw) > _MOST_KEYS:
@@ -152,7 +152,7 @@ class Reader:
             return _WRONG
 
     def _key(self, table: Table, name: str, raw: Any, place: Place) -> Any:
-        """Return the value of a key as its declaration has it."""
+        """Return the value of a key, converted as declared."""
         if name not in table.keys:
             guess = "".join(f"did you mean {one}? Otherwise " for one in get_close_matches(name, table.keys, 1))
             rest = f" is not a known key; {guess}expected one of {', '.join(table.keys)}: correct it, or leave it out."
@@ -165,7 +165,7 @@ class Reader:
         return self._single(one, raw, place)
 
     def _complete(self, table: Table, given: dict[str, Any], place: Place) -> None:
-        """Refuse what is missing or said twice; replace what is said in other words."""
+        """Report missing or duplicate keys; replace alternative keys."""
         for other, (name, product) in table.instead.items():
             if {other, name} <= given.keys():
                 given[name] = self._refuse((*place, name), f" says the same as {other}; leave one of them out.")
@@ -178,7 +178,7 @@ class Reader:
                 given[name] = self._refuse((*place, name), rest, "missing")
 
     def _single(self, one: Setting, raw: Any, place: Place) -> Any:
-        """Return a value that is no table."""
+        """Convert and check a value that is no table."""
         try:
             stated = units.QUANTITY.fullmatch(raw) if one.type is float and isinstance(raw, str) else None
             if stated is not None and stated["unit"].strip() and list_units(one.unit):  # known or not
@@ -201,7 +201,7 @@ class Reader:
         return found
 
     def _items(self, one: Setting, below: Table, raw: Any, place: Place) -> Any:
-        """Return the tables of a list, or by their names."""
+        """Read the tables of a list or mapping."""
         is_list = get_origin(one.type) is tuple
         if type(raw) is not (list if is_list else dict) or len(raw) > _MOST_KEYS or (one.required and not raw):
             expected = "a list of tables" if is_list else "a table"
@@ -217,10 +217,10 @@ class Reader:
 
 
 def _convert(kind: Any, raw: Any, part: bool = False) -> Any:
-    """Return a value of TOML as a type has it; the parts of lists and tables are finite.
+    """Convert a TOML value to a type; nested numbers must be finite.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not of that type.
     """
     arguments = get_args(kind)
     if get_origin(kind) is tuple and isinstance(raw, list):
@@ -242,7 +242,7 @@ def _convert(kind: Any, raw: Any, part: bool = False) -> Any:
 
 
 def flatten_keys(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested tables as one with dotted names: TOML nests ``filter.depth = 0.1``."""
+    """Flatten nested tables to dotted names: TOML nests ``filter.depth = 0.1``."""
     found: dict[str, Any] = {}
     for name, below in table.items():
         inner = flatten_keys(below) if isinstance(below, dict) else {}
@@ -256,8 +256,8 @@ class FileKey:
 
     Attributes:
         place: its path; ``<name>`` stands for any name.
-        declared: type, unit, bounds, default and words.
-        kind: what decides the table that it is in, where a key holds one of several: the law of a controller.
+        declared: type, unit, bounds, default and meaning.
+        kind: variant of its table, such as a controller's law; empty without variants.
     """
 
     place: str
@@ -266,7 +266,7 @@ class FileKey:
 
 
 def list_keys(owner: Table, place: str = "", kind: str = "") -> Iterator[FileKey]:
-    """Yield the keys of a table, each before those below it."""
+    """Yield the keys of a table recursively, parents first."""
     tables = list(owner.variants.items()) or [(kind, owner)]
     for word, table in tables:
         for name, one in table.keys.items():
@@ -284,9 +284,9 @@ def list_keys(owner: Table, place: str = "", kind: str = "") -> Iterator[FileKey
 
 @lru_cache(maxsize=256)
 def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
-    """List the units of a declaration, "1/s", "m/s or rad/s", "controller units per m/s or rad/s", by how a side moves.
+    """List the units that a declaration allows, for one or both motions.
 
-    Without a kind they are those of both; of controller units per rad/s "N m s/rad" is one.
+    A declaration is "1/s", "m/s or rad/s" or "controller units per rad/s", which allows "N m s/rad" among others.
     """
     if declared.startswith(CONTROLLER_UNITS):
         kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)
@@ -294,7 +294,7 @@ def list_units(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
         found = (units.per(output, below[-(one == "revolute")]) for one in kinds for output in OUTPUTS[one])
         return tuple(dict.fromkeys(found))
     choices = [unit.strip() for unit in declared.replace(",", " or ").split(" or ")]
-    if len(choices) == 2 and kind is not None:  # straight, then turning
+    if len(choices) == 2 and kind is not None:  # prismatic, then revolute
         choices = [choices[kind == "revolute"]]
     return tuple(filter(_is_unit, choices))
 
@@ -308,7 +308,7 @@ def _is_unit(unit: str) -> bool:
 
 
 def output_of(text: str, declared: str, kind: Kind) -> str | None:
-    """Return the controller's output unit (N, N m, A, V or %) in a text; None without one."""
+    """Return the controller's output unit (N, N m, A, V, %) or None."""
     if not declared.startswith(CONTROLLER_UNITS):
         return None
     stated = units.parse_quantity(text)
@@ -317,10 +317,10 @@ def output_of(text: str, declared: str, kind: Kind) -> str | None:
 
 
 def to_si(text: str, declared: str, kind: Kind | None = None) -> float:
-    """Return the SI value of a number with a unit of its declaration; arguments as of `list_units`.
+    """Convert a number with a unit to SI; arguments as for `list_units`.
 
     Raises:
-        UnitError: it has another unit; the message is the rest of a sentence.
+        UnitError: the unit is not allowed; the message is the rest of a sentence.
     """
     known = list_units(declared, kind)
     try:

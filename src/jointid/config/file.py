@@ -1,4 +1,4 @@
-"""The contents of a joint file or a robot file: its axes, and what the verbs take.
+"""The contents of a joint file or robot file.
 
 A joint file has one axis and no robot, a robot file an axis for each joint.
 """
@@ -38,23 +38,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class File:
-    """A joint file or a robot file: what is identified, from what, and how.
+    """A joint file or robot file: system, record and method.
 
     Attributes:
-        axes: what it says of each axis; one of a joint file.
-        robot: of a robot file, with what it says of the joints; gravity as the base stands.
+        axes: the axes; a joint file has one.
+        robot: robot of a robot file, with the file's joint data and the gravity of the mounted base.
         method: with its settings.
         filtering: how signals are filtered.
-        parameters: changes to the parameters by name, as `identify` takes them.
-        feed_forward: what the drives are given beside the controllers' torque.
+        parameters: changed parameters by name, for `identify`.
+        feed_forward: torque that the drives receive in addition to the controllers' output.
         in_motion: whether the records of a robot begin while it moves.
         model_path: the file of the robot's model.
-        locked: by name the positions of the model's joints that stand still, rad or m.
-        path: of the file; a text is taken to stand in `joint.toml`.
-        name: what reports call the joint or the robot.
-        runs: records that the file lists, to be identified together.
-        together: what is identified beside the joint then.
-        text: of the file. changes: of `load`, which it does not have.
+        locked: positions of the model's locked joints by name, rad or m.
+        path: of the file; `joint.toml` for a text.
+        name: of the joint or robot in reports.
+        runs: listed records, for one fit of all.
+        together: further quantities that such a fit identifies.
+        text: of the file. changes: those applied by `load`, which the text does not contain.
 
     Example:
         >>> from jointid.config import loads
@@ -103,12 +103,12 @@ class File:
 
     @property
     def controller(self) -> Controller | None:
-        """The controller of a joint file, as the joint sees it through its transmission."""
+        """Controller of a joint file, referred to the joint through its transmission."""
         return self.axis.controller
 
     @property
     def controllers(self) -> tuple[Controller | None, ...]:
-        """The controller of each axis, None where it is not known."""
+        """Controller of each axis; None if unknown."""
         return tuple(axis.controller for axis in self.axes)
 
     @property
@@ -118,12 +118,12 @@ class File:
 
     @property
     def limits(self) -> AxisLimits | tuple[AxisLimits, ...]:
-        """Limits of the joint, or of each joint of a robot, in a test that is planned."""
+        """Test limits of the joint, or of each joint of a robot."""
         return self.axis.limits if self.robot is None else tuple(axis.limits for axis in self.axes)
 
     @property
     def loop(self) -> Any:
-        """The joint or the robot under its controllers; None while that of a joint is not known.
+        """The joint or robot with its controllers; None without a joint's controller.
 
         Raises:
             MethodError: a joint of a robot has no controller.
@@ -142,7 +142,7 @@ class File:
 
     @property
     def setup(self) -> Any:
-        """The joint or robot as its method takes it: under its controllers, alone, or along its motors' motion."""
+        """System that the method identifies: closed loop, joint, robot or drive side."""
         if self.robot is None:
             return self.loop or self.joint
         if isinstance(self.method, DriveSideFit):
@@ -153,24 +153,24 @@ class File:
 
     @property
     def _simulates(self) -> bool:
-        """Whether the method simulates the motion under the controllers."""
+        """True if the method simulates the closed loop."""
         return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
 
     def record(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> Any:
-        """Read the record for `identify`: a `Record`, of a robot a tuple with one for each joint.
+        """Read the record for `identify`; for a robot, one per joint.
 
-        A channel that the method does not need may be absent, except an injected signal: without it the torque
-        would be taken for the controller's. A feed-forward to compute is added if the method simulates, or if every
+        A channel that the method does not need may be absent, except a declared injected signal: without it the torque
+        would be attributed to the controller. A computed feed-forward is added if the method simulates, or if every
         axis has a controller and a reference.
 
         Args:
-            path: of the record, instead of the one that the file names.
-            driving: whether it is to drive a simulation, for which reference and injection are enough.
+            path: of the record, instead of the declared one.
+            driving: whether it drives a simulation, which needs reference and injection only.
 
         Raises:
-            RecordError: there is no such file, or it does not hold what the file says; `faults` has a
+            RecordError: the file is missing or contradicts the declaration; `faults` has a
                 sentence for each missing column, gap, jump of the clock, impossible scale, constant torque, and
-                torque at the controller's limit; each names its joint of a robot.
+                torque at the controller's limit; for a robot, each names its joint.
             MethodError: the feed-forward needs references of one rate.
         """
         found = self.records(path, driving=driving)
@@ -185,7 +185,7 @@ class File:
         return found[0] if self.robot is None else found
 
     def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
-        """Read the record of every axis, from one reading of the file; all begin at one instant, see `record`."""
+        """Read all axes' records from one file; all begin at one time."""
         path = self.record_path(path)
         if self.source.parts:
             raise MethodError("record.parts are several records, and this takes one; give start and stop instead.")
@@ -200,12 +200,12 @@ class File:
         if faults:
             every = len(self.axes)
             raise RecordError(f if len(names) == every else f"{', '.join(names)}: {f}" for f, names in faults.items())
-        if payload := self._run(path).payload:  # which the last link carries
+        if payload := self._run(path).payload:  # carried by the last link
             found[-1] = replace(found[-1], payload=payload)
         return begin_together(found)
 
     def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
-        """Return the records with the feed-forward, which must be computed or logged, but not both."""
+        """Return the records with feed-forward, either computed or logged."""
         mode, injected = self.feed_forward, [one.injected is not None for one in found]
         if mode == "none" or (mode == "logged" and all(injected)):
             return found
@@ -219,17 +219,17 @@ class File:
         return add_feed_forward(self.loop, found, mode)
 
     def identify(self, record: Any, progress: Progress = ignore_progress, **asked: Any) -> Estimate:
-        """Identify the joint or the robot as the file says; see `jointid.identify`.
+        """Identify the joint or robot as declared; see `jointid.identify`.
 
         Args:
-            record: what `record` gave; or those of several logs of a robot, identified in one fit.
+            record: result of `record`, or a list of them for several logs of a robot in one fit.
             progress: is called with each step.
-            asked: further arguments of `jointid.identify`, as checks.
+            asked: further arguments of `jointid.identify`, such as checks.
 
         Raises:
             JointidError: see `jointid.identify`.
         """
-        # It loads the compiled kernels, which a check of the file does not need.
+        # Imported late: it loads the compiled kernels, which a check of the file does not need.
         from jointid.diagnostics.identify import identify
 
         return identify(
@@ -240,10 +240,10 @@ class File:
     def identify_together(
         self, paths: Sequence[str | os.PathLike[str]] = (), progress: Progress = ignore_progress
     ) -> Estimate:
-        """Identify from several records in one fit, of a joint each with the load that the file lists for it.
+        """Identify from several records in one fit, each with its declared load.
 
         Args:
-            paths: of the records, instead of those that the file lists.
+            paths: of the records, instead of the listed ones.
             progress: is called with each step.
 
         Raises:
@@ -260,25 +260,25 @@ class File:
         return self.identify(each, progress, several=several)
 
     def each(self, paths: Sequence[str | os.PathLike[str]] = ()) -> list[tuple[File, str | os.PathLike[str]]]:
-        """Return each part of each record, as a file of it alone, beside the record's path; see `identify_together`."""
+        """Return pairs of `File` and path for each part of each record."""
         cuts = [replace(self.source, start=begin, stop=end, parts=()) for begin, end in self.source.parts]
         files = [replace(self, axes=tuple(replace(axis, source=one) for axis in self.axes)) for one in cuts] or [self]
         return [(file, path) for path in paths or self.listed or [self.record_path()] for file in files]
 
     @property
     def learn_settings(self) -> dict[str, Any]:
-        """Arguments of `jointid.learn_controller`; its units are those that the torque constant or its gain says."""
+        """Arguments of `jointid.learn_controller`, in the units of the declared gain."""
         gain: float = getattr(self.controller, "gain", self.axis.units.plain_gain)
         gear = self.joint.transmission
-        if gain != 1.0:  # of the motor's torque; the record's is the joint's
+        if gain != 1.0:  # refer the motor's torque to the joint, as the record's
             gain *= abs(getattr(self.controller, "ratio", 1.0 if gear is None else gear.torque("motor")))
         return {"gain": gain, "transmission": gear, "declared": self.controller}
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
-        """Return the record of a joint as one that is read in chunks, and identified in windows; see `record`.
+        """Return the joint's record as a log in chunks; see `record`.
 
         Raises:
-            RecordError: a channel has a sample time of its own, or no record is named.
+            RecordError: a channel has a separate sample time, or no record is named.
         """
         return Log(self.record_path(path), self.axis.channels, self.axis.reading, self.source.options)
 
@@ -289,14 +289,14 @@ class File:
 
     @property
     def only_lists(self) -> bool:
-        """Whether the file lists all its records, or their parts, for one fit of them."""
+        """True if the file declares only lists of records or parts."""
         return bool(self.source.parts) or (bool(self.runs) and self.source.file is None)
 
     def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
-        """Return the path of the record: that one, or the one this file names.
+        """Return the given path, or else that of the declared record.
 
         Raises:
-            RecordError: this file names none.
+            RecordError: the file declares none.
         """
         if path is not None:
             return path
@@ -305,19 +305,19 @@ class File:
         return self.path.parent / self.source.file
 
     def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
-        """Return the files that are read: a robot's model, and the given record, or those that the file names."""
+        """Return the files to read: a robot's model and the records."""
         named = record if record is not None or self.source.file is None else self.path.parent / self.source.file
         found = self.listed if record is None and self.runs else [named]
         return tuple(path for path in (self.model_path, *found) if path is not None)
 
     def write(self, record: Any, path: str | os.PathLike[str]) -> None:
-        """Write a record, on the joints' side of their transmissions, as this file reads it: `record` gives it back.
+        """Write a record on the joints' side, readable by `record`.
 
-        Of a robot, a channel without a column is written as JOINT.CHANNEL. Where the file gives the sample time, the
-        time is in a column "t", which reading passes over.
+        A robot's channel without a declared column is written as JOINT.CHANNEL. If the file declares the sample time,
+        the time is written to a column "t", which reading ignores.
 
         Raises:
-            RecordError: the file cannot be written, or would not be read back.
+            RecordError: the file cannot be written, or could not be read back.
         """
         table: dict[str, FloatArray] = {}
         each: Sequence[Record] = (record,) if self.robot is None else record
@@ -328,11 +328,11 @@ class File:
         untimed = self.source.time is None and self.source.sample_time is not None
         if untimed and not any(name == "t" or name.isdecimal() for name in table):
             (_, first), *_ = each[0].items()
-            table = {"t": first.time, **table}  # for whoever looks at the file
+            table = {"t": first.time, **table}  # for human readers
         write_columns(table, path, **self.source.options)
 
     def lay_out(self, design: Design) -> Design:
-        """Return a design whose files have the columns, units and sides of this file.
+        """Return a design with the columns, units and sides of this file.
 
         Of several axes a column that the file does not name begins with the joint's name.
         """

@@ -1,4 +1,4 @@
-"""From TOML to a joint file and back: whole, a controller or parameter without defaults, or one that reads a log."""
+"""Conversion of TOML to joint files and back."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _WORDS: Mapping[type, dict[str, str]] = {
     **{made: {"kind": kind} for kind, made in FILTERS.items()},
     **{made: {"law": law} for law, made in LAWS.items()},
 }
-"""What says of a table of which class it is."""
+"""Key and value that select the class of a table."""
 
 _OF_AXIS = re.compile(r"^(\s*joint\.|(?=\s*method[.=]))")
-"""Begins a change that is of a joint alone, where one is taken from a robot file."""
+"""Start of a change that applies to one joint taken from a robot file."""
 
 _ASKED = """
 # The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive.
@@ -50,16 +50,16 @@ _CHANNELS = """
 
 
 def load(path: str | os.PathLike[str], changes: Iterable[str] = (), *, axis: str | None = None) -> File:
-    """Load a joint file, or a robot file, which has the table [robot]; it is checked before anything runs.
+    """Load and check a joint file or a robot file (table [robot]).
 
     Args:
         path: of the TOML file, in UTF-8.
-        changes: keys to set before it is checked, each as ``method.frequency=30``.
-        axis: the joint of a robot file that is returned as a joint file, as if no other joint moved: with its own
-            `method` and `gravity`. Changes of [method] and [joint] are then of this joint.
+        changes: keys to set before the check, each as ``method.frequency=30``.
+        axis: a joint of a robot file, to be returned as a joint file with the other joints at rest. It has its own
+            `method` and `gravity`. Changes of [method] and [joint] then apply to this joint.
 
     Raises:
-        JointFileError: the file, or the model of a robot that it names, cannot be read, is no TOML, or has faults;
+        JointFileError: the file, or a robot's model, cannot be read, is no TOML, or has faults;
             `faults` has a sentence for each.
         MethodError: the robot has no such joint.
         ExtraError: MuJoCo, which reads the model of a robot, is not installed.
@@ -68,19 +68,19 @@ def load(path: str | os.PathLike[str], changes: Iterable[str] = (), *, axis: str
 
 
 def loads(text: str, folder: str | os.PathLike[str] = ".", changes: Iterable[str] = (), **choices: Any) -> File:
-    """Load a joint file, or a robot file, from its text; see `load`.
+    """Load a joint file or robot file from its text; see `load`.
 
     Args:
         text: TOML.
-        folder: from which the paths of the record and of a robot's model are taken.
-        changes: as of `load`.
+        folder: base of relative paths of the record and of a robot's model.
+        changes: see `load`.
         choices: further arguments of `load`.
     """
     return _load(text, Path(folder) / "joint.toml", changes, **choices)
 
 
 def dumps(file: File) -> str:
-    """Return a joint file or a robot file as TOML, with the changes with which it was loaded; `loads` gives it back."""
+    """Return a loaded file with its changes as TOML; inverse of `loads`."""
     return edit(file.text, *file.changes)
 
 
@@ -106,14 +106,14 @@ def _load(text: str, path: Path, changes: Iterable[str] = (), *, axis: str | Non
 
 
 def _name_axis(change: str, raw: Mapping[str, Any], axis: str | None) -> str:
-    """Return a change as one of the joint of a robot file that is taken alone."""
+    """Address a change to the joint taken from a robot file."""
     joints = raw.get("joints")
     names = [one.get("name") for one in joints if isinstance(one, dict)] if isinstance(joints, list) else []
     return _OF_AXIS.sub(f"joints.{names.index(axis) + 1}.", change, count=1) if axis in names else change
 
 
 def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | float:
-    """Return [parameters.name] for a parameter that is `model`'s, changed; a bare number where that is all."""
+    """Return [parameters.name] for a changed parameter; a bare number if possible."""
     bounds = {key: getattr(parameter, key) for key in ("lower", "upper")}
     table = {key: float(value) for key, value in bounds.items() if value != getattr(model, key)}
     if parameter.free:
@@ -125,10 +125,10 @@ def parameter_table(parameter: Parameter, model: Parameter) -> dict[str, Any] | 
 def save_with_controller(
     file: File, controller: Controller, path: Path, record: str | os.PathLike[str] | None = None
 ) -> None:
-    """Write a joint file with its [controller] another one; all else of its text, comments too, stays as it is.
+    """Write a joint file with its [controller] replaced, the rest kept.
 
-    But for the paths of records: in another folder they lead to the same files from there. A record that is given takes
-    the place of the one that the file names.
+    Comments are kept. Relative paths of records are adapted to the new folder. A given record replaces the
+    declared one.
 
     Raises:
         JointFileError: the file cannot be written.
@@ -150,12 +150,12 @@ def controller_text(controller: Controller, axis: Axis | None = None) -> str:
     """Return the table [controller] of a joint file as TOML.
 
     Args:
-        controller: any of the laws there are.
-        axis: of the file, whose transmission and torque constant the law need not say again, and in whose units its
-            numbers are: these stand beside them as comments.
+        controller: of a class in `LAWS`.
+        axis: of the file. Its transmission and torque constant are not repeated, and the units of the numbers are added
+            as comments.
 
     Raises:
-        JointFileError: a joint file has no word for the controller, or for its side of the transmission.
+        JointFileError: a joint file cannot express the controller, or its side of the transmission.
     """
     gear = None if axis is None else axis.joint.transmission
     seen: dict[Side, float] = {"motor": 1.0} if gear is None else {side: gear.torque(side) for side in SIDES}
@@ -182,7 +182,7 @@ def controller_text(controller: Controller, axis: Axis | None = None) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as TOML has it; of a filter or a controller what is not at its default."""
+    """Convert a value to TOML types; omit defaults of filters and controllers."""
     if type(value) in _WORDS:
         found: dict[str, Any] = {**_WORDS[type(value)]}
         for field in fields(value):
@@ -197,9 +197,9 @@ def _plain(value: Any) -> Any:
 
 
 def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
-    """Return the text of a joint file that reads an inspected log; what no log states is a remark.
+    """Draft a joint file for an inspected log, with comments on unknown data.
 
-    The file is the log's path from the joint file's folder, the axis the number or name of one of several.
+    `file` is the log's path from the joint file's folder, `axis` the number or name of one of several.
     """
     log = found.recognised
     if log is None:

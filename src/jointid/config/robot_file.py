@@ -1,7 +1,7 @@
-"""The robot file: its model, and an axis for each of its joints.
+"""The robot file: its model, and an axis for each joint.
 
-Each of [[joints]] is the table of a joint, with the further tables of a joint file below it. In the name of a column
-``{joint}`` stands for the joint's name, ``{axis}`` for its place in the file from 1, ``{index}`` for one less.
+Each of [[joints]] is the table of a joint, with the other tables of a joint file below it. In a column's name
+``{joint}`` is the joint's name, ``{axis}`` its number in the file from 1, ``{index}`` its number from 0.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.columns import Column
 
-_UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
+_UPRIGHT = 1e-3  # rad, tolerance of an upright base
 _NUMBERS = keys_of(RobotJoint, without=("spring", "coupling"))
 _AS_MOTOR = {"inertia": "rotor_inertia", "viscous_forwards": "viscous", "coulomb_forwards": "coulomb"}
-"""Parameters of a joint that have another name as a number of a robot's motor."""
+"""Names of joint parameters in the robot's motor data, where they differ."""
 
 _OF_ROBOT = {"inertia": "rotor_inertia", "motor_inertia": "rotor_inertia"}
-"""Parameters of a joint that have another name among the parameters of a robot."""
+"""Names of joint parameters among those of a robot, where they differ."""
 
 _OF_SPRING = ("stiffness", "damping", "load_viscous", "load_coulomb")
-"""Parameters of a joint that are numbers of a robot's spring."""
+"""Joint parameters that belong to a robot's spring."""
 
 
 def build_robot(file: Values, axes: Sequence[Values], folder: Path) -> Values:
-    """Return the fields of `File` for a robot, from the tables of its file, see `read_tables`, and of its joints."""
+    """Return the fields of `File` for a robot, from tables of `read_tables`."""
     stated, name, bare = file["robot"], _choose_method(file, axes), _read_model(file["robot"], axes, folder)
     method = make_method(name, file["method"], "robot")
     made = tuple(_build_axis(own, number, bare, name, {})[0] for number, own in enumerate(axes))
@@ -59,9 +59,9 @@ def build_robot(file: Values, axes: Sequence[Values], folder: Path) -> Values:
 
 
 def build_joint_of_robot(file: Values, axes: Sequence[Values], folder: Path, joint: str) -> tuple[Axis, Method]:
-    """Return one joint of a robot as if no other moved; arguments as of `build_robot`.
+    """Return one joint of a robot, with the others at rest.
 
-    Its method is that of `joints.method`, or that of the robot with default settings.
+    Arguments as for `build_robot`. The method is that of `joints.method`, or the robot's with default settings.
     """
     name, bare = _choose_method(file, axes), _read_model(file["robot"], axes, folder)
     if joint not in bare.names:
@@ -71,20 +71,20 @@ def build_joint_of_robot(file: Values, axes: Sequence[Values], folder: Path, joi
 
 
 def _choose_method(file: Values, axes: Sequence[Values]) -> str:
-    """Return the name of the given method of a robot, or of the default one for its channels."""
+    """Return the robot's declared method, or the default for its channels."""
     if name := file["method"].get("name"):
         return str(name)
     channels = {channel for own in axes for channel in own["channels"]}
     controlled = all(own["controller"] is not None for own in axes)
     logged = "torque" in channels or file["drive"].profile is not None or file["record"][0].torque == "logged"
-    # Without a torque DIDIM is of the motor positions; a joint without a controller leaves one method only.
+    # Without a torque DIDIM fits motor positions; it needs the controllers of all joints.
     if controlled and not (logged and "motor_position" in channels):
         return "didim"
     return "drive_side" if any(own["model"] == "flexible" for own in axes) else "idim"
 
 
 def _read_model(stated: Values, axes: Sequence[Values], folder: Path) -> Robot:
-    """Return the model as its base stands, with its joints as the file lists them."""
+    """Load the model, with mounted gravity and joints in the file's order."""
     names = [own["name"] for own in axes]
     ordered = reorder_joints(load_robot(folder / stated["model"], stated["locked"]), names)
     if list(ordered.names) != names:
@@ -100,15 +100,15 @@ def _read_model(stated: Values, axes: Sequence[Values], folder: Path) -> Robot:
             "one of both: leave base out, or set the gravity to 0 0 -9.81."
         )
     turned = Rotation.from_euler("xyz", stated["base"]).as_matrix().T @ ordered.gravity
-    # A base that is written as 3.1416 hangs upside down: no record would show a trace of gravity sideways.
+    # A base angle of 3.1416 means upside down: remove the sideways gravity due to rounding.
     turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
     return replace(ordered, gravity=turned, name=stated["name"] or ordered.name)
 
 
 def _build_axis(own: Values, number: int, robot: Robot, method: str, given: Mapping[str, Any]) -> tuple[Axis, Method]:
-    """Build one joint's axis, with the channels that all share by its name and place, and its method alone.
+    """Build one joint's axis with its shared columns, and its own method.
 
-    What a joint of a robot is identified by is not its own method, but says which channels must be there.
+    A robot's joint is not identified by that method; it only determines the required channels.
     """
     kind, drive = robot.links[number].kind, own["drive"]
     if own["kind"] not in (None, kind):
@@ -123,7 +123,7 @@ def _build_axis(own: Values, number: int, robot: Robot, method: str, given: Mapp
 
 
 def _fill_placeholders(column: Column, name: str, number: int) -> Column:
-    """Return a column with the placeholders of its names replaced by name and number."""
+    """Replace the placeholders in a column's names by name and number."""
 
     def fill(text: str) -> str:
         return text.replace("{joint}", name).replace("{axis}", f"{number + 1}").replace("{index}", f"{number}")
@@ -163,7 +163,7 @@ def _build_joint(own: Values, axis: Axis, joint: RobotJoint) -> RobotJoint:
 
 
 def _find_faults(tables: Sequence[Values], axes: Sequence[Axis]) -> Iterator[Fault]:
-    """Yield the faults of what joints lack or do not share."""
+    """Yield faults of joints that lack or share too much."""
     units = {str(axis.name): axis.joint.torque_unit for axis in axes if axis.joint.torque_unit}
     if units:
         raise MethodError(
@@ -187,7 +187,7 @@ def _find_faults(tables: Sequence[Values], axes: Sequence[Axis]) -> Iterator[Fau
 
 
 def _keep_parameters(axes: Sequence[Axis]) -> dict[str, Parameter]:
-    """Return values and bounds that the identification keeps, by the names of a robot's parameters."""
+    """Return declared values and bounds, by a robot's parameter names."""
     found = dict[str, Parameter]()
     for axis in axes:
         known = {parameter.name: parameter for parameter in axis.joint.parameters}
@@ -197,6 +197,6 @@ def _keep_parameters(axes: Sequence[Axis]) -> dict[str, Parameter]:
             if name not in lines:
                 found[own] = stated
             elif stated != replace(known[name], start=stated.start):
-                # A start of lines is a number of the robot that is built, and no start of a search.
+                # The initial value of a linear parameter is part of the robot, not of the search.
                 found[own] = replace(stated, start=None) if stated.free else stated
     return found

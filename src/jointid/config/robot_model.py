@@ -1,8 +1,8 @@
-"""A robot from URDF or MJCF: links, joints and masses as MuJoCo's own parser makes them of the file.
+"""A robot from URDF or MJCF, parsed by MuJoCo.
 
-The file is not trusted. Of its elements and attributes only those that say where joints and masses are reach MuJoCo
-(`_URDF`, `_MJCF`): no shape that is drawn, no mesh, no other file, no plugin. So a model is read without the meshes
-beside it. Elements are counted before they are compiled. Links that do not move against each other are one.
+The file is not trusted. Only elements and attributes of joints and masses (`_URDF`, `_MJCF`) reach MuJoCo: no visual
+shape, mesh, other file or plugin. A model is therefore read without its meshes. Elements are counted before they are
+compiled. Links that do not move relative to each other are merged.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from jointid.models.robots.inertial import MassProperties, change_frame
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 
 LARGEST = 2**23  # bytes
-_DEEPEST = 300  # elements in each other: the parser calls itself for each
+_DEEPEST = 300  # levels of nested elements: the parser is recursive
 _MOST_JOINTS = 100
 _MOST_PARTS = 5000  # elements that are compiled: MuJoCo's time grows with the square of their number
-_LEAST_MASS = 1e-13  # kg and kg m2: given to links without a mass, as MuJoCo moves none without, and taken off again
-_ROUNDED = 1e-5  # of the largest principal moment of inertia, that others may be below it as of a flat body
+_LEAST_MASS = 1e-13  # kg and kg m2: MuJoCo requires a mass of moving links; it is removed afterwards
+_ROUNDED = 1e-5  # tolerance on principal moments, relative to the largest: those of flat bodies are rounded
 
 _PLACED = "pos quat axisangle xyaxes zaxis euler"
 _MJCF: Mapping[str, str] = {
@@ -62,13 +62,13 @@ _URDF: Mapping[str, str] = {
     "dynamics": "damping friction",
     "limit": "lower upper effort velocity",
 }
-_ONCE = ("inertial", "origin", "mass", "inertia", "parent", "child", "axis", "dynamics", "limit")  # of what they are in
+_ONCE = ("inertial", "origin", "mass", "inertia", "parent", "child", "axis", "dynamics", "limit")  # once per parent
 _REFUSED = ("include", "attach", "replicate", "composite", "flexcomp")
-_TIED: Mapping[str, str] = {"joint": "joint", "site": "site", "tendon": "fixed"}  # the element of what a tie names
+_TIED: Mapping[str, str] = {"joint": "joint", "site": "site", "tendon": "fixed"}  # element type by attribute of a tie
 _FREE = ("ball", "free", "floating", "planar")
 
 Carried = Mapping[str, tuple[FloatArray, FloatArray]]
-"""By the name of a body its pose in the frame of a link, (4, 4), and its ten inertial parameters, (10,)."""
+"""Pose of each body in a link's frame, (4, 4), and its inertial parameters, (10,), by body name."""
 
 
 def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType({})) -> Robot:
@@ -76,16 +76,16 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
 
     Args:
         path: of the file, at most 8 MiB.
-        locked: by the names of joints that stand still their positions, rad or m. Joints that are tied to each other,
-            by <mimic> or by <equality>, are among them.
+        locked: positions of locked joints by name, rad or m. Joints that are coupled by <mimic> or <equality> must be
+            locked.
 
     Returns:
-        Its joints in the file's order, as far as each link comes after its parent. Armature, damping and friction loss
-        of MJCF, damping and friction of URDF are rotor inertia, viscous and Coulomb friction. A link for which the
-        file says no mass, or one that no body can have, has none; `remarks` name the latter.
+        Its joints in the file's order, but each link after its parent. Armature, damping and friction loss of MJCF,
+        damping and friction of URDF are rotor inertia, viscous and Coulomb friction. A link has no mass if the file
+        declares none or an impossible one; `remarks` name the latter.
 
     Raises:
-        JointFileError: the file cannot be read, or is no tree of joints that turn or slide on their own.
+        JointFileError: the file cannot be read, or is no tree of independent hinge and slide joints.
         ExtraError: MuJoCo is not installed.
     """
     return read_robot(read_text(Path(path), LARGEST), Path(path).name, locked)[0]
@@ -94,7 +94,7 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
 def read_robot(
     text: str, called: str = "the robot's model", locked: Mapping[str, float] = MappingProxyType({})
 ) -> tuple[Robot, Mapping[str, Carried]]:
-    """Return the robot of a URDF or MJCF text, and the bodies that each moving joint carries, by the joint's name."""
+    """Parse URDF or MJCF; return the robot and each joint's bodies."""
     root = parse_model(text, called)
     locked = _fix_bases(root, called, locked)
     by_shapes = any(one.get("inertiafromgeom") == "true" for one in root.iter("compiler"))
@@ -123,7 +123,7 @@ def read_robot(
 
 
 def parse_model(text: str, called: str) -> ET.Element:
-    """Return the root element, with names as they are written: those of a namespace with its prefix.
+    """Return the root element of a model; names keep their namespace prefix.
 
     Raises:
         JointFileError: the text is no URDF or MJCF, or declares a DOCTYPE, which can declare entities.
@@ -151,7 +151,7 @@ def parse_model(text: str, called: str) -> ET.Element:
 
 
 def _fix_bases(root: ET.Element, called: str, locked: Mapping[str, float]) -> dict[str, float]:
-    """Fix free joints that are locked, and return the other ones; refuse what generates joints or bodies."""
+    """Fix locked free joints, return the other locked ones; refuse generated elements."""
     left = dict(locked)
     for parent in tuple(root.iter()):
         for one in tuple(parent):
@@ -172,9 +172,9 @@ def _fix_bases(root: ET.Element, called: str, locked: Mapping[str, float]) -> di
 
 
 def _filter_tree(element: ET.Element, allowed: Mapping[str, str], by_shapes: bool, weighs: bool = False) -> ET.Element:
-    """Return an element with its allowed attributes and children; of shapes those from which a body has its mass.
+    """Copy an element with allowed attributes and children, and shapes with mass.
 
-    Of an element that its parent has once, the first counts. A body whose mass follows from a mesh has none.
+    The first of duplicate elements counts. A body whose mass follows from a mesh has none.
     """
     weighs = weighs and not any(one.tag == "geom" and one.get("mesh") for one in element)
     names = allowed[element.tag].split()
@@ -188,17 +188,17 @@ def _filter_tree(element: ET.Element, allowed: Mapping[str, str], by_shapes: boo
 
 
 def _name_meshes(root: ET.Element, by_shapes: bool) -> Iterator[str]:
-    """Yield a remark on each body of MJCF whose mass follows from a mesh."""
+    """Yield a remark on each MJCF body with a mesh's mass."""
     for body in root.iter("body"):
         if (by_shapes or body.find("inertial") is None) and any(one.get("mesh") for one in body.findall("geom")):
             yield f"the mass of body {body.get('name', '')} follows from a mesh, which is not read: it is unknown"
 
 
 def _forget_impossible(root: ET.Element) -> Iterator[str]:
-    """Drop masses and friction of URDF that are impossible; yield a remark on each, but on masses that are all 0.
+    """Drop impossible masses and friction of URDF; yield remarks.
 
-    Where links are is enough to identify a robot, so a wrong mass is no reason to refuse a model, nor is a parent
-    "world" that is no link.
+    Identification needs the geometry only, so a wrong mass is no reason to refuse a model, nor is an undeclared parent
+    link "world".
     """
     for one in root.iter("link"):
         inertial = one.find("inertial")
@@ -226,7 +226,7 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
 
 
 def _is_possible(inertial: ET.Element) -> bool:
-    """Whether a body can have inertial parameters, or MuJoCo refuses them; as of a rod or a plate, they are rounded."""
+    """Test whether inertial parameters are physical; correct rounded ones in place."""
     weight, moments = inertial.find("mass"), inertial.find("inertia")
     if weight is None or moments is None:
         return False
@@ -249,9 +249,9 @@ def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], cal
 
     Args:
         root: of the file.
-        model: as MuJoCo compiles it.
-        locked: as of `load_robot`.
-        called: what sentences call the file.
+        model: compiled by MuJoCo.
+        locked: see `load_robot`.
+        called: name of the file in sentences.
     """
     joints = {one.name or f"joint{k + 1}": one for k, one in enumerate(map(model.joint, range(model.njnt)))}
     if unknown := [name for name in locked if name not in joints]:
@@ -271,9 +271,9 @@ def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], cal
 
 
 def _ties(root: ET.Element) -> Iterator[set[str]]:
-    """Yield the joints that each tie binds, of two bodies, sites or tendons those between them.
+    """Yield the joints that each constraint couples.
 
-    Ties that MJCF does not activate are none.
+    Two bodies, sites or tendons couple the joints between them. Inactive MJCF constraints are ignored.
     """
     parents = {child: parent for parent in root.iter() for child in parent}
     named = {(one.tag, one.get("name")): one for one in root.iter()}
@@ -296,7 +296,7 @@ def _ties(root: ET.Element) -> Iterator[set[str]]:
 
 @contextmanager
 def _quiet(mujoco: Any) -> Iterator[None]:
-    """Keep MuJoCo's warnings, of a mass that it cannot simulate, from the terminal and from a log in this folder."""
+    """Suppress MuJoCo's warnings on the terminal and in a log file."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
@@ -306,12 +306,12 @@ def _quiet(mujoco: Any) -> Iterator[None]:
 
 
 def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tuple[Robot, Mapping[str, Carried]]:
-    """Return the robot of a model, and what each joint carries.
+    """Return the robot of a model, and the bodies of each joint.
 
-    A body whose joint stands still is one with the link that carries it.
+    A body with a locked joint is merged with its parent link.
     """
     links, joints, carried = list[Link](), list[RobotJoint](), dict[str, dict[str, tuple[FloatArray, FloatArray]]]()
-    placed = {0: (-1, np.eye(3), np.zeros(3))}  # of each body: the link it is part of, and where in its frame
+    placed = {0: (-1, np.eye(3), np.zeros(3))}  # link of each body, and its pose in the link's frame
     for number in range(1, model.nbody):
         carrier, rotation, origin = placed[int(model.body_parentid[number])]
         origin = origin + rotation @ model.body_pos[number]
@@ -322,7 +322,7 @@ def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tu
             joint = _joint(model, place)
             kind: Kind = "revolute" if model.jnt_type[place] == mujoco.mjtJoint.mjJNT_HINGE else "prismatic"
             anchor, axis = model.jnt_pos[place].copy(), model.jnt_axis[place] / np.linalg.norm(model.jnt_axis[place])
-            # In a position of 0 a link is where it is drawn, less the position that is drawn.
+            # The model is drawn at qpos0, so that position is subtracted.
             moved = still.get(joint.name, 0.0) - float(model.qpos0[model.jnt_qposadr[place]])
             origin = origin + rotation @ anchor
             if kind == "revolute":
@@ -356,7 +356,7 @@ def _joint(model: Any, number: int) -> RobotJoint:
 
 
 def _body(model: Any, number: int) -> FloatArray:
-    """Return the inertial parameters of a body in its own frame, (10,); what is only MuJoCo's least is none."""
+    """Return a body's inertial parameters, (10,); MuJoCo's minima count as 0."""
     mass, moments = float(model.body_mass[number]), model.body_inertia[number]
     if mass <= 2 * _LEAST_MASS:
         return np.zeros(10)
@@ -366,7 +366,7 @@ def _body(model: Any, number: int) -> FloatArray:
 
 
 def reorder_joints(robot: Robot, names: Sequence[str]) -> Robot:
-    """Return a robot with its joints in the given order, parents before children."""
+    """Return a robot with joints in the given order, parents first."""
     rank = {name: place for place, name in enumerate(dict.fromkeys(names))}
     left = sorted(range(len(robot)), key=lambda i: rank.get(robot.names[i], len(rank)))
     place = {-1: -1}

@@ -1,7 +1,7 @@
-"""The tables of a joint file and of a robot file: `JOINT_FILE` and `ROBOT_FILE`.
+"""Tables of a joint file and a robot file: `JOINT_FILE` and `ROBOT_FILE`.
 
-A key is a setting of the class that uses it. Here stand the keys of the file's own, those of its records, and how
-tables become values: those of [joint] and of [[joints]] are the same keys, and a joint file is one of one axis.
+A key is a setting of the class that uses it. This module declares the remaining keys and the conversion of tables to
+values. [joint] and [[joints]] share their keys; a joint file has one axis.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from jointid.records.signals.filtering import Filtering
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 
 Values: TypeAlias = dict[str, Any]
-"""What a table says, by its keys; a key that it leaves out has its default."""
+"""Values of a table by key, with defaults."""
 
 _TURN = 2 * math.pi  # rad
 
@@ -125,7 +125,7 @@ class Run:
 
     @property
     def payload(self) -> tuple[float, ...]:
-        """`Record.payload` of what the last link of a robot carries; empty without a mass."""
+        """Payload of a robot's last link for `Record.payload`; empty without a mass."""
         if self.payload_mass is None:
             return ()
         inertia = np.zeros((3, 3))
@@ -135,7 +135,7 @@ class Run:
 
 
 def _fill(keys: Mapping[str, Setting]) -> Callable[..., Values]:
-    """Return the function by which a table of keys becomes its values."""
+    """Return a function that adds the defaults of keys to given values."""
     usual = {name: one.default for name, one in keys.items() if not one.required}
     return lambda **given: usual | given
 
@@ -151,11 +151,11 @@ _INVERSES: Mapping[str, tuple[str, float, dict[str, Setting]]] = {
         "time_constant", 0.5 / math.pi, key("cutoff", float, "1 / (2 pi time_constant)", unit="Hz", above=0)
     ),
 }  # fmt: skip
-"""Of a law or a kind of filter a key that may be given by its inverse, the product of both, and the inverse."""
+"""For a law or filter: a key, its product with an inverse key, and that inverse key."""
 
 
 def _variant(word: str, keys: Mapping[str, Setting], make: Callable[..., Any]) -> Table:
-    """Return the table of a law or of a kind of filter."""
+    """Return the table of a controller law or filter kind."""
     name, product, inverse = _INVERSES.get(word, ("", 1.0, {}))
     return Table({**keys, **inverse}, make, instead=dict.fromkeys(inverse, (name, product)))
 
@@ -165,7 +165,7 @@ def _make_filter(kind: str = "digital", **given: Any) -> Any:
 
 
 def _make_law(law: str = "cascade", side: Side = "motor", **given: Any) -> tuple[Controller, Side, float | None]:
-    """Return a controller, checked at its period if it has one, the side of its numbers, and the gain that is given."""
+    """Return a controller, the side of its numbers, and its declared gain."""
     made: Any = LAWS[law](**given)
     if made.period is not None:
         made.law(made.period)
@@ -203,7 +203,7 @@ _METHOD = Table(
 
 
 def make_method(name: str, given: Mapping[str, Any], system: str) -> Method:
-    """Return the method of that name with the keys of [method]; refuse those of other methods or systems."""
+    """Create a method from the keys of [method]; refuse unsuitable keys."""
     made: Any = method_of(name)
     own = {one: value for one, value in given.items() if one != "name"}
     for one in own.keys() - keys_of(made, system=system):
@@ -252,7 +252,7 @@ AXIS_TABLES = (
     | key("parameters", Mapping[str, _PARAMETER], "what is known of the parameters, by name", {})  # type: ignore[valid-type]
     | key("limits", AxisLimits, "what the axis may do in a test that is planned", AxisLimits())
 )  # fmt: skip
-"""Tables of an axis: of a joint file at its top, of a robot file below [[joints]]."""
+"""Tables of an axis: at top level of a joint file, in [[joints]] of a robot file."""
 
 _ALONE = (
     key("channels", _CHANNELS, "its channels, where they are not as [record.channels]", {})
@@ -262,7 +262,7 @@ _make_axis = _fill(_OF_JOINT | AXIS_TABLES | _ALONE)
 
 
 def _make_robot_axis(spring: Mapping[str, Any] | None = None, **given: Any) -> Values:
-    """Return an axis of [[joints]], flexible if it has a spring; with the numbers of its motor, and of its spring."""
+    """Return the values of [[joints]], flexible if it has a spring."""
     numbers = {name: given.pop(name) for name in keys_of(RobotJoint, without=("spring",)) if name in given}
     link = dict(spring or {})
     if spring is not None:
@@ -333,7 +333,7 @@ def _make_file(**given: Any) -> Values:
 
 
 def _make_joint_file(joint: Values, **given: Any) -> Values:
-    """Return the file as that of a robot has it: of one axis, with its tables."""
+    """Return a joint file's values in the form of a robot file's."""
     tables = {name: given.pop(name) for name in AXIS_TABLES if name in given}
     return _make_file(**given, joints=(_make_axis(**{"model": "rigid"} | joint, **tables),))
 
@@ -361,10 +361,10 @@ ROBOT_FILE = Table(
 
 
 def read_tables(raw: Mapping[str, Any]) -> tuple[Values, tuple[Values, ...]]:
-    """Return the tables of a file, as `tomllib` reads them, and those of each axis; refuse them by all their faults.
+    """Convert a file's tables to values of the file and its axes.
 
-    An axis has beside its own what it shares with the others: source, drive, records and channels of the file, the
-    numbers that are given with a unit (`Reader.texts`), and `at`, which returns the place of a key of the axis.
+    All faults are reported at once. Each axis also contains shared values: source, drive, records and channels of the
+    file, numbers given with a unit (`Reader.texts`), and `at`, which returns the place of a key.
     """
     reader = Reader()
     file: Values = reader.read_all(ROBOT_FILE if "robot" in raw else JOINT_FILE, raw)
@@ -372,7 +372,7 @@ def read_tables(raw: Mapping[str, Any]) -> tuple[Values, tuple[Values, ...]]:
     shared = {"source": source, "drive": file["drive"], "records": file["records"], "texts": reader.texts}
 
     def place(number: int) -> Callable[..., Place]:
-        """Return the places of an axis; what a joint file has in [joint] stands in [[joints]] itself."""
+        """Return an axis's place function; keys of [joint] move to [[joints]]."""
         if file["robot"] is None:
             return lambda *keys: keys
         return lambda *keys: ("joints", number, *(keys[1:] if keys[:1] == ("joint",) else keys))

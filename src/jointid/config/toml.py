@@ -1,4 +1,4 @@
-"""Texts in TOML: read within limits, with keys set as `--set` has them, and edited with their comments kept."""
+"""TOML texts: read within limits, changed by `--set`, edited with comments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from jointid.common.errors import JointFileError
 from jointid.common.files import open_file
 
 _LARGEST = 2**20  # bytes
-_DEEPEST = 256  # points in a key: the parser takes the square of their number
+_DEEPEST = 256  # points in a key: the parser's time grows with the square of their number
 
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _CONSTANTS = ("true", "false", "inf", "nan")
@@ -26,14 +26,14 @@ _BETWEEN_KEYS = re.compile(r"[=,\n\[\]{}]")
 
 Tables: TypeAlias = MutableMapping[str, Any]
 Change: TypeAlias = Callable[[Tables], None]
-"""Changes tables in their place, plain ones and those of a document with comments."""
+"""Changes tables in place, plain ones or those of a document with comments."""
 
 
 def read_text(path: Path, most: int = _LARGEST) -> str:
-    """Return the text of a joint file, or of another file of the user's, of so many bytes at most.
+    """Read a text file of limited size.
 
     Raises:
-        JointFileError: it cannot be read, is too long, or is no text.
+        JointFileError: it cannot be read, is too long, or is not text.
     """
     try:
         with open_file(path) as file:
@@ -67,12 +67,12 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def _count_points(text: str) -> int:
-    """Return the largest number of points in a key of a TOML text, or in what could be one."""
+    """Return the largest number of points in a key."""
     return max(part.count(".") for part in _BETWEEN_KEYS.split(text))
 
 
 def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str, Any]:
-    """Return the tables of a joint file with some keys set, not checked yet; see `parse_change`. Later ones win."""
+    """Return unchecked tables with keys set, later ones last; see `parse_change`."""
     changed = copy.deepcopy(dict(tables))
     for change in changes:
         parse_change(change)(changed)
@@ -82,10 +82,10 @@ def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str
 def parse_change(change: str) -> Change:
     """Return the function that applies a change ``key=value``.
 
-    The key is dotted as faults name it, the value in TOML; a single word needs no quotes.
+    The key is dotted, as in faults, the value in TOML; a single word needs no quotes.
 
     Raises:
-        JointFileError: it cannot be read, or, when it is applied, its place is inside another value.
+        JointFileError: it cannot be parsed or, on application, its place is inside another value.
     """
     name, equals, text = change.partition("=")
     text = text.strip()
@@ -104,7 +104,7 @@ def parse_change(change: str) -> Change:
 
 
 def _path(tables: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the parts of the one key that tables hold."""
+    """Yield the parts of a single nested key."""
     for name, below in tables.items():
         yield name
         if isinstance(below, dict):
@@ -112,10 +112,10 @@ def _path(tables: Mapping[str, Any]) -> Iterator[str]:
 
 
 def put(tables: Tables, path: list[str], value: Any) -> None:
-    """Set the value at a path; tables on the way are made, and items of lists are named as faults name them.
+    """Set the value at a path; create missing tables on the way.
 
     Raises:
-        JointFileError: something on the way is no table, or a list has no such item.
+        JointFileError: a value on the way is no table, or a list has no such item; items are numbered as in faults.
     """
     here: Any = tables
     for number, name in enumerate(path):
@@ -134,9 +134,9 @@ def put(tables: Tables, path: list[str], value: Any) -> None:
 
 
 def edit(text: str, *changes: Change) -> str:
-    """Return a text whose tables are changed; all else, comments too, stays as it is.
+    """Apply changes to a text; the rest, with comments, is kept.
 
-    A text in which the changes have no place is written anew, without its comments. It need be no whole joint file.
+    A text that cannot be edited in place is rewritten without its comments. It may be part of a joint file.
 
     Raises:
         JointFileError: the text is no TOML.
@@ -159,12 +159,12 @@ def edit(text: str, *changes: Change) -> str:
 
 
 def replace_table(written: str) -> Change:
-    """Return a change by which a table is written anew, or added, with its heading and its comments."""
+    """Return a change that replaces or adds a table, with its comments."""
     return lambda tables: tables.update(tomlkit.parse(written))
 
 
 def move_paths(before: Path, after: Path) -> Change:
-    """Return a change by which the paths of records lead to the same files from another folder."""
+    """Return a change that adapts relative record paths to another folder."""
 
     def change(tables: Tables) -> None:
         listed = tables.get("records")
