@@ -1,4 +1,4 @@
-"""Friction laws: lines over the velocity, with own coefficients in each direction, and terms beside them.
+"""Friction laws: lines over velocity for each direction, and additional terms.
 
 Being linear in the parameters of its lines lets a regression estimate them (`Friction.columns`). At standstill the
 Coulomb force is a set: any force within its bounds keeps the mass at rest. To add a term, write its row in `_TERMS`.
@@ -70,7 +70,7 @@ class MotionSize(NamedTuple):
         speed: the largest, m/s or rad/s.
         travel: between the ends, m or rad.
         duration: s.
-        viscous, coulomb: the lines of the friction that fit it best, means over the directions.
+        viscous, coulomb: of the best-fitting lines, means over the directions.
     """
 
     speed: float
@@ -84,10 +84,10 @@ class Term(NamedTuple):
     """Numbers of a friction law beside its lines.
 
     Attributes:
-        adds: in words. instead: what its lines are, where only lines are written.
+        adds: the term in words. instead: its lines in words, for exports of lines only.
         parameters: name, symbol, quantity, lower and upper bound of each; the names begin with the side's prefix.
-        starts: returns values of the parameters from which a search may begin.
-        of_load: whether it is on the load's side of a flexible joint alone.
+        starts: returns start values of the parameters.
+        of_load: whether it acts on the load side of a flexible joint only.
     """
 
     adds: str
@@ -134,7 +134,7 @@ _LAWS: Mapping[str, tuple[Term, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """A friction law by its name, in which words are joined: "asymmetric-stribeck". Frozen, so a joint can be a key.
+    """Friction law by its joined names, such as "asymmetric-stribeck"; immutable and hashable.
 
     The friction ``Fv v + Fc sign(v)`` is "symmetric", (1) and (2) of the paper. "presliding" takes no "stribeck":
 
@@ -168,7 +168,7 @@ class Friction:
 
     @property
     def two_ways(self) -> bool:
-        """True if its lines are others backwards."""
+        """True if the lines differ with the direction."""
         return self.name.startswith("asymmetric")
 
     @property
@@ -198,21 +198,21 @@ class Friction:
 
     @property
     def offset_identifiable(self) -> bool:
-        """True if an offset is identifiable beside this law: not beside two Coulomb forces, to which it adds."""
+        """True if an offset is identifiable, which two Coulomb forces prevent."""
         return not self.two_ways
 
     @property
     def linear(self) -> bool:
-        """True if the law is one line in each direction, and so linear in its parameters."""
+        """True if the law is linear in its parameters: one line per direction."""
         return not self.terms
 
     @property
     def lines(self) -> Friction:
-        """The law of one line in each direction that this one is, or adds to."""
+        """The law without additional terms: one line per direction."""
         return Friction("asymmetric" if self.two_ways else "symmetric")
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return the law's parameters, with `prefix` before the names and `index` after the symbols."""
+        """Parameters of the law, `prefix` before names and `index` after symbols."""
         quantity = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
         lines = (
             Parameter(f"{prefix}{c.name}", f"{c.symbol}{index}{('', '+', '-')[c.way]}", quantity[c.part], lower=0.0)
@@ -234,7 +234,7 @@ class Friction:
         return np.stack(columns).T
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
-        """Return the coefficients for both directions of motion; a value without a direction is of both."""
+        """Coefficients of both directions; a value without direction holds for both."""
         if not self.two_ways:
             viscous, coulomb = values[f"{prefix}viscous"], values[f"{prefix}coulomb"]
             return viscous, viscous, coulomb, coulomb
@@ -243,14 +243,14 @@ class Friction:
         return forwards, backwards, held, held_back
 
     def beside(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
-        """Return the numbers of the terms by their names without the prefix; 0 of those that the law has not."""
+        """Numbers of the terms by unprefixed name; 0 for absent terms."""
         own = [name for term in self._terms_of(prefix) for name, *_ in term.parameters]
         return dict.fromkeys(BESIDE, 0.0) | {name: values[f"{prefix}{name}"] for name in own}
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> list[tuple[float, Directions]]:
-        """Return the law in bands of the speed, the slowest first: the end of each, the last without, and its lines.
+        """Bands of speed, slowest first: upper end (the last infinite) and lines.
 
-        A change towards standstill has a band between each two of the points of its exponential.
+        A Stribeck term has a band between neighbouring points of its exponential.
         """
         viscous, viscous_back, coulomb, coulomb_back = whole = self.directions(values, prefix)
         found: list[tuple[float, Directions]] = []
@@ -266,9 +266,9 @@ class Friction:
         return [*found, (math.inf, whole)]
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
-        """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest.
+        """Friction in steady motion against a constant load; 0 at rest.
 
-        One that grows with the torque T is in balance with it: ``T = load + F + mu |T| sign(v)``.
+        Load-dependent friction is in balance with the torque T: ``T = load + F + mu |T| sign(v)``.
         """
         if velocity == 0.0:
             return 0.0
@@ -286,11 +286,11 @@ class Friction:
             yield dict(zip(names, (value for one in values for value in one), strict=True))
 
     def mean(self, part: Part, prefix: str = "") -> dict[str, float]:
-        """Return the weights, by parameter, whose sum is the mean of a part over both directions."""
+        """Weights of parameters for a part's mean over both directions."""
         return {f"{prefix}{c.name}": 0.5 if c.way else 1.0 for c in self.coefficients if c.part == part}
 
     def constant(self, prefix: str = "") -> dict[str, float]:
-        """Return the weights, by parameter, whose sum is the constant force in the law; none where it has none."""
+        """Weights of parameters for the constant force in the law, if any."""
         return {f"{prefix}{c.name}": 0.5 * c.way for c in self.coefficients if c.part == "coulomb" and c.way}
 
     def _terms_of(self, prefix: str) -> list[Term]:

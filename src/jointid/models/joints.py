@@ -1,6 +1,6 @@
-"""Joints: one inertia, or a motor and a load inertia joined by a spring and a damper; and a joint in its loop.
+"""Joints: rigid, or motor and load with spring and damper; closed loops.
 
-Rigid, (1) of the paper with the constant real records have::
+Rigid, (1) of the paper with a constant offset, as real records show::
 
     tau = ZZ a + Fv v + Fc sign(v) + offset
 
@@ -9,9 +9,9 @@ Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q
     tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  - K12 q2 - F12 v2 + offset
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
 
-where ``K12 q2`` may be the torque of another spring, and the friction another law: see `springs`, `friction`. Gravity,
-where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): a ripple adds to the equation
-of its side what follows the position there: see `position_forces`.
+where ``K12 q2`` may be the torque of another spring, and the friction another law: see `springs`, `friction`. Gravity
+adds g(q) to (1), and g(q12) to the second equation of (2). A ripple adds a force that is periodic in the position to
+the equation of its side: see `position_forces`.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 @dataclass(frozen=True, slots=True)
 class _JointBase:
-    """Common base of the joints: kind of motion, friction, transmission, gravity and ripple; see `RigidJoint`."""
+    """Common base of the joints; see `RigidJoint` for the attributes."""
 
     in_json = "model"
     model: ClassVar[str]
-    """Name of the model, as files say it."""
+    """Name of the model in files."""
     sides: ClassVar[tuple[str, ...]]
-    """Before the names of the parameters of each side."""
+    """Prefixes of the parameter names of each side."""
 
     kind: Kind
     friction: Friction = field(default_factory=Friction)
@@ -73,29 +73,29 @@ class _JointBase:
 
     @property
     def laws(self) -> tuple[Friction | Spring, ...]:
-        """The laws of friction and, where there is one, of the spring."""
+        """Laws of friction and, if present, of the spring."""
         return (self.friction, *self.springs)
 
     @property
     def springs(self) -> tuple[Spring, ...]:
-        """The law of the spring, where there is one."""
+        """Law of the spring, if present."""
         spring: Spring | None = getattr(self, "spring", None)
         return () if spring is None else (spring,)
 
     @property
     def rigid(self) -> RigidJoint:
-        """The joint whose spring does not give: what this one is far below its resonance."""
+        """The rigid joint that this one is far below resonance."""
         ripple = None if self.ripple is None else replace(self.ripple, side="motor")
         return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, ripple)
 
     @property
     def stepped(self) -> bool:
-        """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
+        """True if a smooth law requires stepwise simulation with error control."""
         return any(law.stepped for law in self.laws) or self.ripple is not None
 
     @property
     def straight(self) -> bool:
-        """True if all its laws are lines, or lines in pieces, so that its simulation is exact."""
+        """True if all laws are piecewise linear, so that simulation is exact."""
         return not self.stepped and not (self.gravity is not None and self.gravity.varies)
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM, *, spring_alone: bool = False) -> None:
@@ -115,7 +115,7 @@ class _JointBase:
 
     @property
     def force_unit(self) -> str:
-        """Of its torque or force: N or N m, by its kind, where no `torque_unit` is declared."""
+        """Unit of torque or force: `torque_unit`, or that of the kind."""
         return self.torque_unit or TORQUE_UNIT[self.kind]
 
     def unit(self, parameter: Parameter) -> str:
@@ -129,7 +129,7 @@ class _JointBase:
         return found if self.ripple is None else [*found, (-1 if self.ripple.side == "load" else 0, self.ripple)]
 
     def places(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the forces that follow a position, gravity's and the ripple's, (forces, 5), for the simulation."""
+        """Position-dependent forces of gravity and ripple, (forces, 5), for the simulation."""
         rows = np.zeros((0, 5)) if self.ripple is None else self.ripple.places(values)
         if self.gravity is None or not self.gravity.varies:
             return rows
@@ -138,9 +138,9 @@ class _JointBase:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity, ripple.
+        """Parameters in the paper's order (5), then those of gravity and ripple.
 
-        The offset is fixed where another parameter is a constant, too.
+        The offset is fixed if another parameter is constant, too.
         """
         offset, gravity = Parameter("offset", "offset", Quantity.FORCE), self.gravity
         identifiable = self.friction.offset_identifiable and (gravity is None or gravity.load != "constant")
@@ -160,14 +160,14 @@ class _JointBase:
         )
 
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
-        """Return the columns of (1), or of both rows of (2), shape (sides, samples, parameters).
+        """Columns of (1), or of both rows of (2), (sides, samples, parameters).
 
         The first row adds up to the motor's torque, the second to 0. (The paper prints velocities in columns 1 and 6
         of (5), where (2) has accelerations.)
 
         Args:
             motor: its motion.
-            load: of a flexible joint. That of a rigid one moves with the motor, so it is not read.
+            load: motion of the load of a flexible joint; unused for a rigid one.
 
         Raises:
             MethodError: there is no motion of the load, or a law is not linear in its parameters.
@@ -208,7 +208,7 @@ class RigidJoint(_JointBase):
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
-        ripple: a force that comes back with the position, of a known period.
+        ripple: a force that is periodic in the position, with a known period.
     """
 
     model = "rigid"
@@ -221,7 +221,7 @@ class RigidJoint(_JointBase):
 
     @property
     def flexible(self) -> FlexibleJoint:
-        """The joint if there were a linear spring between motor and load."""
+        """The joint with a linear spring between motor and load."""
         return FlexibleJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, self.ripple)
 
 
@@ -236,7 +236,7 @@ class FlexibleJoint(_JointBase):
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
         ripple: see `RigidJoint`; on the side whose position it follows.
-        spring: the law of the spring, linear unless said.
+        spring: the law of the spring, linear by default.
     """
 
     model = "flexible"
@@ -246,15 +246,15 @@ class FlexibleJoint(_JointBase):
 
     @property
     def linear(self) -> FlexibleJoint:
-        """The joint with a linear spring, the lines of its friction alone, and without a ripple."""
+        """The joint with linear spring and friction lines, without ripple."""
         return replace(self, spring=self.spring.lines, friction=self.friction.lines, ripple=None)
 
     @staticmethod
     def frequencies(values: Mapping[str, float]) -> dict[str, float]:
-        """Return the frequencies of a flexible joint in Hz, each named by its boundary condition.
+        """Frequencies of a flexible joint in Hz, by boundary condition.
 
         ``free_free`` is a pole from torque to motor position; ``motor_locked`` the anti-resonance the motor sees;
-        ``load_locked`` the motor against the held load. Of an elastic load the first two are the lower ones, and
+        ``load_locked`` the motor against the held load. For an elastic load the first two are the lower ones, and
         ``second_free_free`` is the other pole.
         """
         share, stiffness = values.get("swinging_share", 0.0), values["stiffness"]
@@ -270,7 +270,7 @@ class FlexibleJoint(_JointBase):
 
     @staticmethod
     def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
-        """Return the rigid parameters of a flexible joint with symmetric friction: the sums of both sides.
+        """Rigid parameters of a flexible joint with symmetric friction: sums of sides.
 
         The damping F12 acts between the masses and is no part of the friction sums.
         """
@@ -290,12 +290,12 @@ class ClosedLoop:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the channels a record must have to be compared with this loop."""
+        """Names of the channels required to compare a record with this loop."""
         return ("torque", *self.controller.channels)
 
 
 def of_whole(p: Parameter, values: Mapping[str, float]) -> float:
-    """Return a rigid joint's parameter from a flexible joint's: the sum of both sides, of a speed the mean."""
+    """Rigid parameter from flexible ones: sum of both sides; mean of speeds."""
     if p.name in values:
         return values[p.name]
     sides = [values[name] for name in (f"motor_{p.name}", f"load_{p.name}") if name in values]  # a ripple has one
@@ -303,24 +303,24 @@ def of_whole(p: Parameter, values: Mapping[str, float]) -> float:
 
 
 def acts_on_whole(name: str) -> bool:
-    """True if a parameter is common to rigid and flexible joints, and not a sum of two sides."""
+    """True if rigid and flexible joints share the parameter, without a sum."""
     return name == "offset" or name.startswith(("gravity_", "counterbalance_", "harmonic_"))
 
 
 def spring_at(hertz: float, inertia: float, damping: float = MODE_DAMPING) -> dict[str, float]:
-    """Return the spring and damper on which an inertia swings at a frequency, damped by a share of critical."""
+    """Spring and damper for an inertia's natural frequency (Hz) and damping ratio."""
     rate = 2 * math.pi * hertz
     return {"stiffness": inertia * rate**2, "damping": 2 * damping * inertia * rate}
 
 
 def split_by_mode(inertia: float, share: float, hertz: float, damping: float = MODE_DAMPING) -> dict[str, float]:
-    """Return both inertias, spring and damper of a flexible joint with a given mode.
+    """Inertias, spring and damper of a flexible joint with a given mode.
 
     Args:
         inertia: of the whole joint.
         share: of the load in it.
         hertz: the free-free frequency.
-        damping: of that mode, a share of critical.
+        damping: of that mode, relative to critical.
     """
     inertias = {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
     return inertias | spring_at(hertz, share * (1 - share) * inertia, damping)

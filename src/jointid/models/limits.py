@@ -54,7 +54,7 @@ class AxisLimits:
 
     @property
     def given(self) -> dict[str, float]:
-        """Given limits of sizes by name; the stroke is at most the room between the positions."""
+        """Given limits by name; the stroke is at most `upper - lower`."""
         found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _NO_SIZES}
         if self.lower is not None and self.upper is not None:
             found["stroke"] = min(self.stroke or math.inf, self.upper - self.lower)
@@ -68,7 +68,7 @@ class AxisLimits:
 
 
 def find_excess(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
-    """Factors by which limits are exceeded; of a position 1 plus the distance past it."""
+    """Factors by which limits are exceeded; for positions 1 plus the distance."""
     over = {name: found[name] / limit for name, limit in limits.given.items() if name in found}
     for name, sign in (("lower", -1.0), ("upper", 1.0)):
         if name in limits.stated and name in found:

@@ -1,14 +1,13 @@
-"""A joint while it moves one way: linear, as every tool of control has it.
+"""Linear model of a joint that moves in one direction.
 
-While neither velocity changes its sign Coulomb friction is a constant, and what is left is linear::
+While neither velocity changes its sign, Coulomb friction is constant, and the rest is linear::
 
     ZZ1 a1  + Fv1 v1  - K12 (q12 - q1) - F12 (v12 - v1) = tau
     ZZ2 a12 + Fv2 v12 + K12 (q12 - q1) + F12 (v12 - v1) + rate q12 = 0
 
 A rigid joint has the first line alone, without the spring; of an elastic load (`springs.Spring`) a part of ZZ2 is
 a third mass. `rate` is of a spring that carries the load
-(`models.position_forces`), which stands on the motor's line where the joint is rigid; a weight that turns is not
-linear.
+(`models.position_forces`), which acts on the motor's line of a rigid joint; a weight that turns is not linear.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def drive_matrices(
     """Return A, (states, states), and B, (states,), of ``x' = A x + B tau`` (the module's equation).
 
     Args:
-        inertia: of the motor, of the load where there is a spring between them, and of what swings on that.
+        inertia: of the motor, of the load of a flexible joint, and of the swinging part of an elastic load.
         viscous: friction of each.
         springs: stiffness and damping between each and the next.
         rate: of a spring that carries the load.
@@ -58,7 +57,7 @@ def drive_matrices(
 
 
 def hold_torque(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
-    """Return the transition over a time, and what a torque of 1 held for it adds: one exponential gives both.
+    """Transition over a time, and the effect of a held unit torque.
 
     Args:
         A: (..., states, states).
@@ -76,7 +75,7 @@ def hold_torque(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledDrive:
-    """A drive under a held torque that acts (m + f) periods after its sample, f below 1.
+    """Sampled drive under a held torque with a delay of m+f periods.
 
     Exact (Astrom and Wittenmark, Computer-Controlled Systems, section 2.3; Franklin, Powell and Workman, Digital
     Control of Dynamic Systems, section 4.3), with Phi(t) = exp(A t) and G(t) the integral of Phi B until t::
@@ -86,7 +85,7 @@ class SampledDrive:
     Attributes:
         transition: (..., states, states), Phi(T).
         new: (..., states) of u[k-m]. old: of the one before it.
-        whole: m. partial: whether there is an f.
+        whole: m. partial: whether f, between 0 and 1, is not 0.
     """
 
     transition: FloatArray
@@ -97,16 +96,16 @@ class SampledDrive:
 
     @property
     def waiting(self) -> int:
-        """Number of torques already commanded that still act, or are yet to act, at a sample."""
+        """Number of earlier commands that act at a sample or after it."""
         return self.whole + self.partial
 
     def of(self, chosen: slice) -> SampledDrive:
-        """Return the same of some of its drives, along the first axis."""
+        """Select drives along the first axis."""
         return replace(self, transition=self.transition[chosen], new=self.new[chosen], old=self.old[chosen])
 
 
 def discretise(A: FloatArray, B: FloatArray, period: float, delay: float) -> SampledDrive:
-    """Return a drive as it goes on from sample to sample under a held torque.
+    """Discretise a drive under a held torque, exactly at the samples.
 
     Args:
         A: (..., states, states).
@@ -123,11 +122,11 @@ def discretise(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sam
 
 
 def sampled_position(drive: SampledDrive, turned: ComplexArray) -> ComplexArray:
-    """Return the response of drives' positions to the torque of whole periods before, (drives, points).
+    """Response of positions to the torque m periods earlier, (drives, points).
 
     With p = z - 1 and M = Phi - I it is ``adj(p I - M) (new + old / z) / det(p I - M)``: both polynomials of p, from
     Faddeev and Leverrier's recursion, for all points at once, where solving point by point takes ten times as long.
-    In p, not in z, whose powers are all but 1 at the frequencies of a drive: they lose no digit that counts.
+    The powers of p keep the digits that those of z, nearly 1 at the frequencies of a drive, would lose.
 
     Args:
         drive: with one axis of drives before the states.
@@ -155,7 +154,7 @@ class LinearJoints:
     """Several joints of one model, linear.
 
     Attributes:
-        A: (joints, states, states) of position and velocity of the motor, and of the load where there is a spring.
+        A: (joints, states, states) of position and velocity of the motor, and of the load of a flexible joint.
         B: (joints, states) of the torque.
     """
 
@@ -164,7 +163,7 @@ class LinearJoints:
 
     @property
     def modes(self) -> FloatArray:
-        """Frequency in Hz and damping ratio of the oscillating poles and zeros, (joints, 2, 2); empty without any.
+        """Frequencies, Hz, and damping ratios, (joints, 2, 2); empty without oscillating modes.
 
         The first is that of the pole, motor and load against each other; the second of the zero, the load alone.
         """
@@ -179,7 +178,7 @@ class LinearJoints:
 
 
 def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> LinearJoints:
-    """Return joints as they are while they move: friction that differs with the direction gives two of each.
+    """Linear models of moving joints; direction-dependent friction gives two of each.
 
     Args:
         joint: the model.
@@ -202,13 +201,13 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
 def frequency_response(
     joint: Joint, values: Mapping[str, float], hertz: FloatArray, output: Output = "motor_velocity"
 ) -> ComplexArray:
-    """Return the response of a joint to its torque, in continuous time, while it moves one way (forwards).
+    """Continuous frequency response of a joint to torque, moving one way.
 
     Args:
         joint: rigid or flexible; the load of a rigid one moves with the motor.
         values: every parameter of the joint by name, SI, on the joint's side.
         hertz: (frequencies,) positive.
-        output: what answers: "motor_position", "motor_velocity", "load_position" or "load_velocity".
+        output: the signal: "motor_position", "motor_velocity", "load_position" or "load_velocity".
 
     Returns:
         (frequencies,) complex, in m, rad, m/s or rad/s per N or N m.

@@ -9,7 +9,7 @@ gMX and gMY are the first moments of the link times g, seen through the transmis
 the zero of the position (Khalil and Dombre, Modeling, Identification and Control of Robots, chapter 9). A vertical axis
 has a constant load gM. A counterbalance takes ``b0 + bX cos(angle q) + bY sin(angle q) + bK q`` off either.
 
-A ripple comes back with the position, of a motor's slots, a screw's pitch or a gear's teeth.
+A ripple is periodic in the position, from a motor's slots, a screw's pitch or a gear's teeth.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Motion:
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Counterbalance:
-    """The force that a known counterbalance takes off the load: a weight, a cylinder or a spring.
+    """Known counterbalance force, subtracted from the load: weight, cylinder or spring.
 
     Raises:
         MethodError: a number is not finite.
@@ -72,8 +72,8 @@ class Gravity:
     """The load's gravity on a joint.
 
     A constant load and the offset of a motor's torque cannot be distinguished by torque and motor position:
-    a constant load takes the offset's place, and is the sum of both. The cosine, the sine and the offset are three
-    functions only where the link travels far: over a few degrees nothing tells one from the other.
+    a constant load takes the offset's place, and is the sum of both. Cosine, sine and offset are distinguishable only
+    over a long travel of the link, not over a few degrees.
 
     Raises:
         MethodError: there is no such load, or the angle is 0 or not finite.
@@ -101,7 +101,7 @@ class Gravity:
         check_settings(self)
 
     def require(self, kind: Kind, friction: Friction) -> None:
-        """Raise a `MethodError` if a joint of that kind and friction cannot have this load."""
+        """Refuse a kind or friction that cannot have this load, by `MethodError`."""
         turning = self.load == "link" or self.counterbalance.cos != 0.0 or self.counterbalance.sin != 0.0
         if kind == "prismatic" and turning:
             raise MethodError(
@@ -121,7 +121,7 @@ class Gravity:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Weight of the load, then the counterbalance's numbers other than 0, which are fixed."""
+        """Parameters of the load, then the counterbalance's nonzero numbers, fixed."""
         load = (Parameter(f"gravity_{name}", symbol, Quantity.FORCE) for name, symbol in _LOADS[self.load].items())
         known = (
             Parameter(f"counterbalance_{name}", symbol, quantity).fix(given)
@@ -137,7 +137,7 @@ class Gravity:
         return np.column_stack([sign * functions[:, at] for _, at, sign in self._terms])
 
     def coefficients(self, values: Mapping[str, float]) -> tuple[float, float, float, float]:
-        """Return the factors of 1, of the cosine and the sine of the link's angle, and of the position."""
+        """Coefficients of 1, cosine and sine of the link's angle, and position."""
         total = [0.0] * len(_FUNCTIONS)
         for name, at, sign in self._terms:
             total[at] += sign * values[name]
@@ -146,7 +146,7 @@ class Gravity:
 
     @property
     def _terms(self) -> list[tuple[str, int, float]]:
-        """Each parameter's name, the function of which it is the factor, and the sign."""
+        """Name of each parameter, index of its function, and sign."""
         split = ((p.name, p.name.partition("_")) for p in self.parameters)
         return [(name, _FUNCTIONS.index(of), 1.0 if whose == "gravity" else -1.0) for name, (whose, _, of) in split]
 
@@ -171,7 +171,7 @@ class PositionHarmonics:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude of cosine and sine of each harmonic, in the unit of the torque."""
+        """Cosine and sine amplitudes of each harmonic, in units of torque."""
         prefix, index = ("", "") if self.side == "motor" else ("load_", "2")
         return tuple(
             Parameter(f"{prefix}harmonic_{k}_{word}", f"{letter}{index}_{k}", Quantity.FORCE)
@@ -180,12 +180,12 @@ class PositionHarmonics:
         )
 
     def columns(self, position: FloatArray) -> FloatArray:
-        """Return cosine and sine of each harmonic at positions, (samples,): (samples, 2 harmonics)."""
+        """Cosine and sine of each harmonic at positions, (samples, 2 harmonics)."""
         phases = np.outer(position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
         return np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phases), -1)
 
     def places(self, values: Mapping[str, float]) -> FloatArray:
-        """Return it as forces that follow a position, (harmonics, 5), for the simulation in steps."""
+        """Position-dependent forces of the harmonics, (harmonics, 5), for simulation in steps."""
         amplitudes = np.array([values[p.name] for p in self.parameters]).reshape(-1, 2)
         waves = 2 * math.pi / self.period * np.arange(1, self.harmonics + 1)
         side = np.full(self.harmonics, float(self.side == "load"))

@@ -1,7 +1,7 @@
-"""Spring laws between motor and load: lines in pieces of the deflection, and what is smooth beside them.
+"""Spring laws between motor and load: piecewise linear, or with smooth terms.
 
-To add a law, write its row in `_LAWS`: its parameters between stiffness and damping, where a search for them begins,
-and what is said of it. `Spring.pieces` has the lines of a law in pieces, and the plant of a simulation all others.
+To add a law, write its row in `_LAWS`: its parameters between stiffness and damping, their start values and texts.
+`Spring.pieces` has the pieces of a piecewise law, and the plant of a simulation the smooth terms.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Starts: TypeAlias = Callable[[Values, float], Iterator[dict[str, float]]]
 
 
 class Piece(NamedTuple):
-    """One piece of a spring: the deflection and the torque it begins at, its stiffness, and the damping beside it."""
+    """One piece of a spring: initial deflection and torque, stiffness and damping."""
 
     deflection: float
     torque: float
@@ -47,7 +47,7 @@ def _start_line(linear: Values, windup: float) -> Iterator[dict[str, float]]:
 
 def _start_pieces(count: int) -> Starts:
     def start(linear: Values, windup: float) -> Iterator[dict[str, float]]:
-        """Yield a stiffening and a softening spring, in equal parts of the largest torque."""
+        """Yield start values: stiffening and softening springs with equal torque ranges."""
         stiffness, names = linear["stiffness"], ["stiffness", *(p.name for p in _pieces(count))]
         torques = [stiffness * windup * i / count for i in range(1, count)]
         for shares in _BENT:
@@ -57,13 +57,13 @@ def _start_pieces(count: int) -> Starts:
 
 
 def _pieces(count: int) -> tuple[Parameter, ...]:
-    """Return the parameters of the pieces: K2, K3, ..., then T1, T2, ..."""
+    """Parameters of the pieces: K2, K3, ..., then T1, T2, ..."""
     then = (Parameter(f"stiffness_{i}", f"K{i}", Quantity.STIFFNESS, lower=0.0) for i in range(2, count + 1))
     return (*then, *(Parameter(f"torque_{i}", f"T{i}", Quantity.FORCE, lower=0.0) for i in range(1, count)))
 
 
 def _start_gap(linear: Values, windup: float) -> Iterator[dict[str, float]]:
-    """Yield gaps of a part of the deflection; the spring alone is stiffer by that."""
+    """Yield gaps of a share of the deflection, with a stiffer spring."""
     for share in _GAPS:
         yield {"stiffness": linear["stiffness"] / (1 - share), "gap": 2 * share * windup}
 
@@ -84,14 +84,14 @@ def _start_slider(linear: Values, windup: float) -> Iterator[dict[str, float]]:
 
 
 def _start_swinging(linear: Values, windup: float) -> Iterator[dict[str, float]]:
-    """Yield parts of the load that swing at a few times the first mode."""
+    """Yield swinging parts of the load, at multiples of the first mode."""
     del windup
     for share, times in product(_PARTS, _TIMES):
         yield swinging_part(linear, share, times)
 
 
 def swinging_part(linear: Values, share: float, times: float) -> dict[str, float]:
-    """Return a swinging part with a multiple of the first mode's frequency; both springs as stiff together."""
+    """Swinging part at a multiple of the first mode; total stiffness kept."""
     stiffness, load = linear["stiffness"], linear["load_inertia"]
     first = stiffness * (1 / linear["motor_inertia"] + 1 / load)  # rad2/s2
     second = share * (1 - share) * load * times**2 * first
@@ -108,7 +108,7 @@ class _Law(NamedTuple):
         own: parameters between stiffness and damping.
         words: the spring in words, with its parameters in braces.
         starts: see `Spring.starts`.
-        adds: what a smooth spring has beside its line, in words. instead: what its line is, where only that is written.
+        adds: the smooth terms in words. instead: the linear term in words, for exports of lines only.
     """
 
     own: tuple[Parameter, ...]
@@ -156,9 +156,9 @@ _BESIDE = tuple(p.name for law in _LAWS.values() if law.adds for p in law.own)
 
 @dataclass(frozen=True, slots=True)
 class Spring:
-    """A spring law by its name. Frozen, so that a joint can be a key.
+    """Spring law by its name; immutable and hashable.
 
-    Each has a ``stiffness``, of its first piece that has one, and the ``damping`` of the damper beside it.
+    Each has a ``stiffness``, of its first piece with one, and the ``damping`` of the parallel damper.
 
     - "linear": ``K12 e``, (2) of the paper.
     - "two-piece": K1 up to the torque T1, and K2 above. "three-piece": K1 up to T1, K2 up to T2, and K3 above, as of a
@@ -207,7 +207,7 @@ class Spring:
 
     @property
     def instead(self) -> str:
-        """Line of the law in words, for where only a line is written."""
+        """Linear term of the law in words, for exports of lines only."""
         return _LAWS[self.name].instead
 
     @property
@@ -222,7 +222,7 @@ class Spring:
         return [p.name for p in _LAWS[self.name].own if p.name.startswith("torque_")]
 
     def pieces(self, values: Values) -> tuple[Piece, ...]:
-        """Return the pieces of one side, by rising deflection, the first at 0; one without a stiffness never ends."""
+        """Pieces of one side by deflection; a piece without stiffness never ends."""
         whole = Piece(0.0, 0.0, values["stiffness"], values["damping"])
         if self.name == "backlash":
             return Piece(0.0, 0.0, 0.0, 0.0), whole._replace(deflection=0.5 * values["gap"])
@@ -234,26 +234,26 @@ class Spring:
         return tuple(found)
 
     def beside(self, values: Values) -> dict[str, float]:
-        """Return the numbers of the smooth laws by their names; 0 of those that this one has not."""
+        """Numbers of smooth terms by name; 0 for those of other laws."""
         own = {p.name for p in _LAWS[self.name].own} if self.stepped else set()
         return {name: values[name] if name in own else 0.0 for name in _BESIDE}
 
     def starts(self, linear: Values, windup: float) -> Iterator[dict[str, float]]:
-        """Yield values of all but the damping from which a search may begin, beside those with a linear spring.
+        """Yield start values of a search, of all parameters except the damping.
 
         Args:
             linear: values of the joint with the linear spring that fits best.
-            windup: the largest deflection of that.
+            windup: the largest deflection of that spring.
         """
         return _LAWS[self.name].starts(linear, windup)
 
     def describe(self, shown: Mapping[str, str]) -> str:
-        """Return the spring in words, from what is shown of all its parameters but the damping."""
+        """Spring in words; `shown` has the text of all parameters except damping."""
         units = {name: text.removesuffix(" 1") for name, text in shown.items()}  # a share's unit
         return _LAWS[self.name].words.format(**units)
 
     def deflection(self, values: Values, torque: float) -> float:
-        """Return the deflection under a constant torque: the smallest; of a softening spring none holds too much."""
+        """Smallest deflection under a constant torque, if the spring can hold it."""
         size, cubic, found = abs(torque), self.beside(values)["cubic_stiffness"], 0.0
         for piece in self.pieces(values):
             if size > 0.0 and size >= piece.torque:
@@ -265,7 +265,7 @@ class Spring:
         return found
 
     def torque(self, values: Values, deflection: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Return the torque of spring and damper, (samples,), at deflections and their rates, (samples,)."""
+        """Torque of spring and damper, (samples,), at deflections and their rates."""
         pieces, size = self.pieces(values), np.abs(deflection)
         at = np.searchsorted([piece.deflection for piece in pieces[1:]], size, side="right")
         begin, torque, stiffness, damping = np.array(pieces).T[:, at]

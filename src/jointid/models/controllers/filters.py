@@ -45,7 +45,7 @@ class DigitalFilter:
             )
 
     def coefficients(self, period: float) -> Coefficients:
-        """Return them as they are, whatever the period."""
+        """Numerator and denominator, independent of the period."""
         return self.numerator, self.denominator
 
 
@@ -60,7 +60,7 @@ class MovingAverage:
         check_settings(self)
 
     def coefficients(self, period: float) -> Coefficients:
-        """Return the weights, all alike."""
+        """Equal weights."""
         return (1.0 / self.samples,) * self.samples, (1.0,)
 
 
@@ -86,7 +86,7 @@ class FirstOrder:
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class SecondOrder:
-    """A filter of second order, as drives parametrise it: a low-pass, or with a numerator of its own any biquad.
+    """Second-order filter, as drives parametrise it: a low-pass or any biquad.
 
     It is::
 

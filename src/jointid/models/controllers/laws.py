@@ -124,8 +124,8 @@ class Cascade(DiagramController):
 class PD(DiagramController):
     """``u = kp (reference - position) + kd (reference velocity - velocity)`` (the module's equations).
 
-    The reference's velocity is the same filtered difference, of the reference, or the record's own channel, or none
-    (damping on the position only).
+    The reference velocity is the filtered difference of the reference, the record's own channel, or none (damping on
+    the position only).
     """
 
     gains: ClassVar[tuple[str, ...]] = ("position_gain", "derivative_gain")
@@ -176,7 +176,7 @@ class PID(PD):
 
 
 def shift_start(controller: Controller, seconds: float) -> Controller:
-    """Adapt a controller to a log that begins `seconds` later, or earlier if negative.
+    """Adapt a controller to a log that begins `seconds` later (or earlier).
 
     Only the phase of a `Cascade`'s slower position loop changes.
     """

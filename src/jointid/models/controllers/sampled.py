@@ -1,4 +1,4 @@
-"""The common form of every controller: a sampled linear law with limits inside.
+"""Common form of all controllers: a sampled linear law with limits inside.
 
 Period k is in phase p = k mod `phases` of a cycle; a single-rate law has one phase. With the inputs named below, the
 states z, and elements i = 1, 2, ... in order of evaluation::
@@ -87,7 +87,7 @@ class SampledLaw:
         return replace(self, limits=limits)
 
     def memory(self, column: int, value: float, slope: float) -> FloatArray:
-        """States after uniform motion of an input up to `value` with `slope` per second.
+        """States after uniform motion of an input to `value`, `slope` per second.
 
         Memories of inputs add up. An integrator's own content is 0; see `integral`.
         """
@@ -95,7 +95,7 @@ class SampledLaw:
         return self.memories(value * at, slope * at)
 
     def memories(self, values: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Sum of the memories of all inputs, (INPUTS,) values and slopes per second."""
+        """States after uniform motion of all inputs; values and slopes are (INPUTS,)."""
         memory = np.zeros(self.order)
         moving = ~self._integrators()
         valued, sloped = self.B @ values, self.B @ slopes
@@ -174,11 +174,11 @@ class SampledLaw:
 
     @property
     def stiffness(self) -> float:
-        """Largest direct gain from position to output over a cycle, torque per position."""
+        """Largest direct gain over a cycle, torque per position."""
         return float(np.max(np.abs(self.D[:, self.output, POSITION])))
 
     def split(self) -> tuple[SampledLaw, SampledLaw]:
-        """Split into the part that depends on the motion and the limit-free known part.
+        """Split into the motion-dependent part and the known part without limits.
 
         The first keeps the states moved by position, limits and gates. The second has the rest, with the first's
         elements and then one for the input of each of its states.

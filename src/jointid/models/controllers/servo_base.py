@@ -88,7 +88,7 @@ class Diagram:
 
     Attributes:
         period: seconds between evaluations.
-        phases: how many of them make one of the slower loop's. first: which of them is the first of its cycle.
+        phases: periods per period of the slower loop. first: index of the first period in its cycle.
     """
 
     period: float
@@ -225,7 +225,7 @@ class Controller(Protocol):
 class ServoController:
     """Common settings of laws; all but the ratio refer to the law's side.
 
-    The unit of the output, `output`, is for reports; empty where it is not known.
+    `output`, the unit of the output, is for reports; empty if unknown.
     """
 
     in_json = "-output"
@@ -320,12 +320,12 @@ class DiagramController(ServoController):
     def _lower(
         self, diagram: Diagram, controlled: BlockSignal, integral: tuple[BlockSignal, float, str] | None = None
     ) -> SampledLaw:
-        """Draw what follows the law's signal, and build the law, referred to the joint.
+        """Add feed-forward, filters and limit, and build the joint-side law.
 
         Args:
             diagram: of the law.
-            controlled: its output but for the integral.
-            integral: what is summed up, the gain of the sum, and what becomes of it at the limit.
+            controlled: its output without the integral.
+            integral: the summed signal, the gain of the sum, and its anti-windup at the limit.
         """
         summed, gain, anti_windup = integral or (BlockSignal({}), 0.0, "")
         state, total = diagram.state() if integral else (0, summed)
