@@ -1,9 +1,8 @@
 """Torque that a declared controller outputs for the logged motor position.
 
-Where the law is known, the position says as much as the torque: ``tau = C (reference, q)``. A fit of this torque is
-the closed-loop output error of the motor position, seen through the controller. What multiplies the law and the joint
-alike is invisible in it: the position of a loop whose gains, inertias, frictions and stiffnesses are all 10 % larger is
-the same.
+With a known law the position determines the torque: ``tau = C (reference, q)``. A fit of this torque minimises the
+closed-loop output error of the motor position, filtered by the controller. A common factor of the law and the joint is
+not identifiable: a loop whose gains, inertias, frictions and stiffnesses are all 10 % larger has the same position.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ SOURCE = "computed from the controller and the motor position"
 
 
 def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
-    """Return the record with the torque that the controller outputs for its motor position.
+    """Record with the torque that the controller outputs for its motor position.
 
     Between two samples of the log the position follows a cubic spline. A logged torque is replaced; the computed one
     is then shown as the logged one was, at the same tap and with the same timing. The value of an integral at the first
@@ -66,11 +65,11 @@ def compute_controller_torque(record: Record, loop: ClosedLoop) -> Record:
 
 
 def law_outputs(position: Channel, axis: AxisInput) -> FloatArray:
-    """Return the torque of the law as the log shows it and, where it has one, of a unit integral, (samples, columns).
+    """Logged torque of the law, and of any unit integral, (samples, columns).
 
     Args:
         position: of the motor.
-        axis: what `prepare` made of its record.
+        axis: input of its record, from `prepare`.
     """
     law = axis.law
     inputs, start = _along(position, axis, axis.inputs)
@@ -82,7 +81,7 @@ def law_outputs(position: Channel, axis: AxisInput) -> FloatArray:
 
 
 def seen_position(record: Record, loop: ClosedLoop) -> SeenPosition | None:
-    """Return the map from position to computed torque; None for a logged torque."""
+    """Map from position to computed torque; None for a logged torque."""
     if record.computed_by is None or record.motor_position is None:
         return None
     return SeenPosition(prepare(replace(loop, controller=record.computed_by), record).axis)
@@ -93,17 +92,17 @@ class SeenPosition:
     """The map from a motor position to a torque: the declared law without limits.
 
     Attributes:
-        axis: what `prepare` made of the record under the declared law.
+        axis: input of the record under the declared law, from `prepare`.
     """
 
     axis: AxisInput
 
     def torque(self, position: FloatArray) -> FloatArray:
-        """Return the torque of a position at the log's instants, (samples,), in the same form."""
+        """Torque as logged, (samples,), for a position at the log's instants."""
         return self.respond(position, self.axis.inputs) + to_log(self.axis, self.axis.shown)
 
     def slopes(self, positions: FloatArray) -> FloatArray:
-        """Return the derivatives of the torque, (samples, names), of those of the motor position."""
+        """Derivatives of the torque, (samples, names), from those of the motor position."""
         none = np.zeros_like(self.axis.inputs)
         columns = [self.respond(one, none) for one in positions.T]
         return np.column_stack(columns) if columns else positions
@@ -116,6 +115,6 @@ class SeenPosition:
 
 
 def _along(position: Channel, axis: AxisInput, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the inputs of an axis' law with a motor position, and its first states."""
+    """Law inputs of an axis with a motor position, and initial states."""
     law = axis.law
     return along(law, inputs, at_period(position, law.period, axis.periods, "motor_position", "spline"))

@@ -1,4 +1,4 @@
-"""Derivatives of a run's torques and positions by parameters: by variation of the run, or as columns at a known motion.
+"""Parameter derivatives of a run: by variation, or columns of known motion.
 
 They are of order 4 in the steps of the tape (`kernels.variation`), and exact over the parts that a joint of straight
 lines crosses by a map. Derivatives by a controller's numbers are exact, too: the law, linear in its signals, is run on
@@ -39,13 +39,13 @@ _ROOM = Room()
 
 
 def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) -> tuple[list[FloatArray], FloatArray]:
-    """Return the derivatives of the torques as the log shows them, by axis, (samples, keys) each, and of positions.
+    """Derivatives of the logged torques, by axis, (samples, keys), and of positions.
 
     At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
     velocity includes a load that moves along.
 
     Args:
-        kept: that was kept. Of one that failed, and of a loop at its limit that flies apart (above 1e100), all are 0.
+        kept: run with its tape. If it failed, or diverged at a torque limit (above 1e100), all derivatives are 0.
         keys: parameters: numbers of joint or robot, "delay" of a torque, and of a joint alone "initial_position",
             "initial_velocity", "initial_torque" or numbers of its controller ("position_gain", "limit",
             "velocity_filter.time_constant", ...).
@@ -74,14 +74,14 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
 
 
 def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Return by how much other laws change a run's torques, to first order, as the log shows them.
+    """First-order changes of a run's logged torques under other laws.
 
-    A law of a joint that reads the motion of the run outputs another torque than that of the run. The response of the
-    loops to this difference is that of their derivatives.
+    Another law outputs another torque for the motion of the run. The loops respond to this difference as in their
+    derivatives.
 
     Args:
-        kept: that finished, and whose tape was kept.
-        changes: axis and input of each other law, of the period of its own, and later by a period at most.
+        kept: finished run with its tape.
+        changes: axis and input of each other law, with the period of the axis's own law and up to a period more delay.
 
     Returns:
         Of each axis what its own law adds as the motion changes, (samples, changes); of each change the difference of
@@ -111,7 +111,7 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
 
 
 def _show(kept: Run, j: int, command: FloatArray, keys: Sequence[Place]) -> FloatArray:
-    """Return derivatives of an axis' torque, (steps, keys), as the log shows them, (samples, keys)."""
+    """Derivatives of an axis's logged torque, (samples, keys), from (steps, keys)."""
     axis, clock = kept.experiment.axes[j], kept.experiment.clock
     logged = to_log(axis, clock.own(j, command, axis.periods))
     late = [c for c, key in enumerate(keys) if key == (j, DELAY)]
@@ -130,14 +130,14 @@ def _follow(
     kept: Run, keys: Sequence[Place], first: Sequence[FloatArray],
     explicit: Sequence[tuple[int, int, FloatArray, FloatArray]], positions: bool = False,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Return the derivatives of outputs, (n, steps, keys), and of a joint's states, (parts, 4, keys).
+    """Derivatives of outputs, (n, steps, keys), and states, (parts, 4, keys).
 
     Args:
-        kept: that was kept.
+        kept: run with its tape.
         keys: of numbers of the plant.
-        first: derivatives of the first state, see `start_slopes`, of these and of what is explicit.
-        explicit: column and axis of each law's number, and see `_explicit`.
-        positions: whether those of the states are asked for.
+        first: derivatives of the first state by `keys` and the explicit columns, see `start_slopes`.
+        explicit: column and axis of each number of a law, and its result of `_explicit`.
+        positions: also compute the derivatives of the states.
     """
     experiment, clock, numbers = kept.experiment, kept.experiment.clock, kept.carried
     (n, elements, _), width = experiment.sampled.w.shape, first[0].shape[1]
@@ -164,13 +164,13 @@ def _follow(
 
 @lru_cache(maxsize=64)
 def _seeds_of_lines(joint: Joint, keys: tuple[Place, ...]) -> Seeds:
-    """Return how the plant of a joint of straight lines depends on parameters: the same at all values."""
+    """Dependence of a piecewise linear joint's plant on parameters, the same everywhere."""
     numbers = Numbers((joint,), (dict.fromkeys(names_of(joint), 1.0),))
     return numbers.seeds(numbers.plant, keys)
 
 
 def _explicit(kept: Run, key: Place) -> tuple[FloatArray, FloatArray]:
-    """Derivatives of an axis' elements, (periods, elements), and limits by its law's number.
+    """Derivatives of an axis's elements, (periods, elements), and limits by its number.
 
     Position, and excesses of limits and gates, are held.
     """
@@ -208,15 +208,15 @@ def _explicit(kept: Run, key: Place) -> tuple[FloatArray, FloatArray]:
 def columns_of(
     tree: Tree | None, numbers: Numbers, places: Sequence[Place], motion: MassMotion, rows: Sequence[int]
 ) -> list[tuple[IntArray, FloatArray]]:
-    """Return, for each of some masses, the derivatives of its equation by the parameters that act in it.
+    """Derivatives of each mass's equation by the parameters that act in it.
 
-    At a known motion, so these are the regressor's columns; their product with the parameters is the motor's torque,
-    and 0 for the link of a flexible joint. Each is the places of the parameters, (own,), and their columns,
-    (samples, own), which stand one after the other.
+    These are the regressor's columns at a known motion. Their product with the parameters is the motor's torque, and
+    0 for the link of a flexible joint. Each has the indices of its parameters, (own,), and their columns,
+    (samples, own), contiguous in memory.
 
     Args:
         tree: of the links.
-        numbers: of which only the laws are read, and the speeds below which friction rises.
+        numbers: only the laws and the Stribeck speeds are read.
         places: of the parameters.
         motion: of all masses.
         rows: of the masses.
@@ -257,7 +257,7 @@ def columns_of(
 
 
 def _find_carriers(tree: Tree) -> NDArray[np.bool_]:
-    """Return a matrix, (n, n), True where a link carries another or itself; of coupled motors all do."""
+    """Matrix, (n, n), True where a link carries another; all for coupled motors."""
     if tree.joints.size:
         return np.ones(tree.joints.shape, dtype=np.bool_)
     found = np.eye(tree.parents.size, dtype=np.bool_)
@@ -281,7 +281,7 @@ def mass_column(
     place: Place, numbers: Numbers, position: FloatArray, velocity: FloatArray, acceleration: FloatArray,
     direction: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Return the regressor column of a number of a mass in a motion, (samples,); it slides in the direction."""
+    """Regressor column of a mass's number along a motion, (samples,)."""
     own = place.own
     known = {"inertia": acceleration, "viscous": velocity, "coulomb": direction, "offset": np.ones_like(velocity)}
     if own in known:

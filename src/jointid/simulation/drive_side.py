@@ -1,4 +1,4 @@
-"""The drive side: motors that move as the record says, and the torques that this takes, whatever the controllers are.
+"""Drive side: torques for the recorded motion of motors, independent of controllers.
 
 The record needs the motors' positions. The links of flexible joints are simulated, hung on springs whose other ends
 move as the motors did; of a rigid joint the link is its motor, and the torque its inverse model::
@@ -8,9 +8,9 @@ move as the motors did; of a rigid joint the link is its motor, and the torque i
     Ia am + Fv vm + Fc sign(vm) + offset + (M(q) a + h(q, v))_i = tau             motors of rigid joints
 
 A joint is a robot of one axis without a tree. The links are simulated as in the loop (`kernels.engine`): each motor is
-so heavy that nothing moves it but a torque that gives it its own acceleration, which is held in each part of a sample.
-Where it then is at the parts' ends is right to the fourth order, by the velocity ``v - h^2/12 v''`` there: what the
-straight line through velocities takes from a curved motion (Euler and Maclaurin) is put back.
+so heavy that only a torque for its prescribed acceleration moves it, which is held in each part of a sample. Positions
+at the parts' ends are accurate to fourth order with the velocity ``v - h^2/12 v''`` there, which corrects the linear
+interpolation of the velocity (Euler and Maclaurin).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class DriveSide:
 
 @dataclass(frozen=True, slots=True)
 class RobotDriveSide:
-    """A robot whose motors move as the record says, whatever their controllers: from motor positions to torques.
+    """Robot with recorded motor motion, independent of controllers; it predicts torques.
 
     Attributes:
         robot: links, joints and gravity.
@@ -78,9 +78,9 @@ class PrescribedMotion:
         accelerations: (n,) at the first edge.
         step: seconds from edge to edge.
         position, velocity: (edges, n) of the shafts that the motors turn.
-        joined: (edges, n) the velocities that the held accelerations join (see the module).
-        direction: (parts, n) of the velocity, 1 or -1, mean over each part; filtered as the positions are where the
-            torques are, too.
+        joined: (edges, n) velocities between which the acceleration is held (see the module).
+        direction: (parts, n) of the velocity, 1 or -1, mean over each part; filtered like the positions if the torques
+            are, too.
     """
 
     tree: Tree | None
@@ -100,7 +100,7 @@ class PrescribedMotion:
 def prescribe(
     position: FloatArray, sample_time: float, parts: int, tree: Tree | None = None, resting: Bools | bool = False
 ) -> PrescribedMotion:
-    """Return the motion of motors through sampled positions, by an interpolating spline.
+    """Interpolate the motion of motors through sampled positions by a spline.
 
     Args:
         position: (samples, n) of the shafts that the motors turn, smooth at the scale of a sample: filtered where the
@@ -108,8 +108,8 @@ def prescribe(
         sample_time: s.
         parts: of a sample.
         tree: of a robot's links.
-        resting: (n,) which motors rest at the first sample: what is left of their velocity there is rounding, with
-            which a link would slide.
+        resting: (n,) which motors rest at the first sample. Their velocity there is set to 0: rounding would let a link
+            slide.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -125,7 +125,7 @@ def prescribe(
 
 
 def _mean_direction(velocity: FloatArray) -> FloatArray:
-    """Return the mean sign of velocities over each part, (parts, n), where they run straight from end to end."""
+    """Mean sign of linearly interpolated velocities over each part, (parts, n)."""
     before, after = velocity[:-1], velocity[1:]
     size = np.abs(before) + np.abs(after)
     turned = (np.abs(after) - np.abs(before)) * np.sign(after) / np.where(size > 0.0, size, 1.0)
@@ -134,14 +134,14 @@ def _mean_direction(velocity: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveSideRun:
-    """The torques that one candidate takes along the motors' motion.
+    """Torques of one candidate along the motors' motion.
 
     Attributes:
         prescribed: the motors' motion. numbers: of the candidate.
         outcome: how the simulation of the links ended; if it did not finish all else is 0.
         start: (masses,) positions at the beginning, in steady motion.
         motion: of all masses, means over the parts, (parts, masses).
-        torque: (parts, n), means over the parts. command: (n, parts + 1) what the heavy motors are moved by.
+        torque: (parts, n), means over the parts. command: (n, parts + 1) torques that move the heavy motors.
         tape: of the simulation.
     """
 
@@ -155,12 +155,12 @@ class DriveSideRun:
     tape: FloatArray
 
     def columns(self, keys: Sequence[Place]) -> list[tuple[IntArray, FloatArray]]:
-        """Return the columns of the motors' equations on the motion, by axis: whose they are, (parts, own)."""
+        """Columns of the motors' equations by axis: parameter indices, and (parts, own)."""
         return columns_of(self.prescribed.tree, self.numbers, keys, self.motion, self.numbers.motors)
 
 
 def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideRun:
-    """Simulate the links under a prescribed motion of the motors; never raises for a candidate's sake: see its outcome.
+    """Simulate links under prescribed motion; a candidate's failure is the outcome.
 
     The integrator takes as many steps as keep the fastest motion of a robot below 0.5 rad a step.
     """
@@ -196,10 +196,10 @@ def run_drive_side(prescribed: PrescribedMotion, numbers: Numbers) -> DriveSideR
 
 
 def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatArray:
-    """Return the derivatives of the torques by what moves the links, (parts, n, parameters), by variation.
+    """Torque derivatives by link-moving parameters, (parts, n, parameters), by variation.
 
-    A motor that is too heavy to be moved tells in how it is what is to be put on it. Other numbers act where they stand
-    in their motor's equation alone: `DriveSideRun.columns`.
+    The small motion of the heavy motors gives the torques. Other numbers act only in their motor's equation, see
+    `DriveSideRun.columns`.
 
     Args:
         run: that finished.
@@ -222,7 +222,7 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
 
 
 def moves_links(key: Place, numbers: Numbers) -> bool:
-    """Test whether a number changes how the links move: those of the motors do not, nor any without a spring."""
+    """Test whether a number changes the motion of the links."""
     of_motor = key.side == "motor_" or key.name in ("offset", LOG_DELAY) or not numbers.flexible[key.axis]
     return bool(np.any(numbers.flexible)) and (key.of_link or not of_motor)
 
@@ -233,7 +233,7 @@ def _steady(prescribed: PrescribedMotion, numbers: Numbers) -> Steady:
 
 
 def _begin(prescribed: PrescribedMotion, numbers: Numbers) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the positions of steady motion, and positions and velocities of all masses at the first edge."""
+    """Steady positions, and positions and velocities of masses at the first edge."""
     steady = _steady(prescribed, numbers)
     start, _ = steady.settle()
     places, speeds = start.copy(), steady.of_masses(steady.speeds)
@@ -257,8 +257,8 @@ def _slopes_at_start(run: DriveSideRun, keys: Sequence[Place]) -> tuple[FloatArr
 def _mean_motion(prescribed: PrescribedMotion, numbers: Numbers, tape: FloatArray) -> MassMotion:
     """Return the motion of all masses, means over the parts.
 
-    The load moves even a heavy motor a little, and the link goes with it: positions of motors are those of the
-    simulation, so that springs are stretched by what they are, and only accelerations are as prescribed.
+    The load moves even a heavy motor a little, and the link with it. Motor positions are therefore those of the
+    simulation, which gives consistent deflections of the springs; only accelerations are as prescribed.
     """
     places, speeds = prescribed.position, prescribed.velocity
     if len(tape):

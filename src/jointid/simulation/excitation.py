@@ -108,8 +108,8 @@ def multisine(
         lowest: of the frequencies, Hz.
         highest: of them, Hz.
         lines: how many frequencies at most, evenly apart on a logarithmic scale.
-        tilt: exponent of the frequency by which the amplitudes of the sines fall: 0 all alike, 2 those of a position
-            whose accelerations are alike.
+        tilt: exponent of the frequency by which the amplitudes fall: 0 for equal amplitudes, 2 for a position with
+            equal accelerations.
 
     Returns:
         Shape (samples,), beginning and ending at 0.
@@ -130,7 +130,7 @@ def multisine(
 
 
 def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplitudes: Sequence[float]) -> FloatArray:
-    """Sines of given frequencies and amplitudes, with Schroeder's phases, faded in and out.
+    """Faded sines of given frequencies and amplitudes, with Schroeder's phases.
 
     Args:
         samples: how many.

@@ -1,4 +1,4 @@
-"""Parameter-independent inputs of a closed-loop simulation of any number of axes, and its log.
+"""Parameter-independent inputs of closed-loop simulations of axes, and their logs.
 
 `prepare` lowers each controller to its sampled law, computes its response to its reference, and cuts the steps of the
 clock that the controllers share at changes of their torques and at log instants. A joint is a robot of one axis without
@@ -70,7 +70,7 @@ class Clock:
 
     @classmethod
     def of(cls, laws: Sequence[SampledLaw], step: float, steps: int, sample_time: float, samples: int) -> Clock:
-        """Cut the steps at the delays of the laws and at log instants, of which there are so many at most."""
+        """Cut the steps at the laws' delays and at log instants."""
         shows, skips = period_ratio(step, sample_time, "the log")
         late = np.array([law.delay / step for law in laws])
         whole = np.floor(late + SNAP)
@@ -101,7 +101,7 @@ class Clock:
         return np.repeat(values, self.every[axis])[: self.steps]
 
     def own(self, axis: int, values: FloatArray, periods: int) -> FloatArray:
-        """Return values of every step at a controller's own periods, (periods, ...), the last one held."""
+        """Values of steps at a controller's periods, (periods, ...), the last held."""
         every = int(self.every[axis])
         if every == 1 and len(values) == periods:
             return values
@@ -115,20 +115,20 @@ class AxisInput:
     Attributes:
         controller: as declared. law: its state-space form.
         inputs: (periods, INPUTS) of the law, with a column of zeros for the position.
-        after_limit: (periods,) what is added to the output; in the log or not, see below.
+        after_limit: (periods,) addition to the output, in the log or not, see `logged`.
         logged: (periods,) the part of `after_limit` that the logged torque contains.
         sample_time: of the log, s. samples: of it.
         tap: where the torque is logged. timing: what a logged value is.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
         clock: of this controller alone.
-        feedback: what of the law the motion moves. integral: (states,) see `SampledLaw.integral`.
-        memory: (states, 2) of the feedback, what a motor position of 1 leaves before the first period, and a velocity
+        feedback: motion-dependent part of the law. integral: (states,) see `SampledLaw.integral`.
+        memory: (states, 2) of the feedback at the first period, from a motor position of 1 before, and from a velocity
             of 1.
-        feedforward: (elements, periods) the answer of the law's elements to everything but the position.
-        driven: (periods, states) what else goes into the states of the feedback, used where the answer would diverge,
-            as for an integrator; (0, states) where the answer holds it.
-        state: (states,) of the feedback at the first period, but for what the position leaves.
-        far: a motor position that no loop comes back from, reckoned from the initial one.
+        feedforward: (elements, periods) response of the law's elements to all inputs except the position.
+        driven: (periods, states) further inputs of the feedback's states, used if the response would diverge, as of an
+            integrator; else (0, states).
+        state: (states,) of the feedback at the first period, without the part of the position.
+        far: distance from the initial motor position beyond which a loop has diverged.
     """
 
     controller: Controller
@@ -186,7 +186,7 @@ class AxisInput:
 
     @property
     def by_motion(self) -> FloatArray:
-        """Output of the law at the first period per unit of initial motor position and velocity, (2,)."""
+        """Initial output per unit initial motor position and velocity, (2,)."""
         law = self.feedback
         return np.asarray(law.C[0, law.output] @ self.memory + np.array([law.D[0, law.output, POSITION], 0.0]))
 
@@ -200,12 +200,12 @@ class LoopInput:
     """Parameter-independent inputs of a simulation of all axes; made by `prepare`.
 
     Attributes:
-        axes: of each alone.
-        clock: that their controllers share.
+        axes: input of each axis.
+        clock: common to their controllers.
         sampled: controllers and inputs as the kernels read them.
         tree: of the links (`models.robots.equations`), None of a joint.
         speeds, accelerations: (n,) of the shafts at the first sample of a robot.
-        payload: (10,) inertial parameters of what the last link carries beside the candidate, or ().
+        payload: (10,) inertial parameters of a known payload on the last link, or ().
     """
 
     axes: tuple[AxisInput, ...]
@@ -231,7 +231,7 @@ class LoopInput:
 
     @property
     def references(self) -> FloatArray:
-        """Commanded positions at the steps of the clock, (steps, n), held between the controllers' instants."""
+        """Commanded positions per step, (steps, n), held between the controllers' instants."""
         held = [self.clock.repeat(j, each.inputs[:, REFERENCE]) for j, each in enumerate(self.axes)]
         return np.column_stack(held)
 
@@ -240,11 +240,11 @@ class LoopInput:
         return replace(self, axes=(axis,))
 
     def under(self, controller: Controller) -> LoopInput:
-        """Return the inputs of a joint under a controller of the same period and delay."""
+        """Inputs of a joint under another controller of equal period and delay."""
         return self.alone(replace(self.axis, law=self.axis.law_of(controller), controller=controller))
 
     def delayed(self, numbers: Numbers) -> LoopInput:
-        """Return the inputs of a robot with the delays of torques that are among its numbers."""
+        """Inputs of a robot with the torque delays among its numbers."""
         late = [own.get(DELAY) for own in numbers.values]
         if self.tree is None or all(one is None for one in late):
             return self
@@ -253,7 +253,7 @@ class LoopInput:
         return replace(self, axes=tuple(later))
 
     def to_log(self, signals: FloatArray) -> FloatArray:
-        """Return torques that are put out in each step, (n, steps), as the log shows them, (samples, n)."""
+        """Logged torques, (samples, n), of torques per step, (n, steps)."""
         clock, found = self.clock, []
         for j, each in enumerate(self.axes):
             command = clock.own(j, signals[j], each.periods)
@@ -266,7 +266,7 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
 
     Args:
         loop: joint and controller, or robot and controllers.
-        record: of a joint; or one for each joint of a robot, of one log: its reference, and what is injected.
+        record: of a joint; or one for each joint of a robot, of one log: its reference and injection.
 
     Raises:
         RecordError: a channel that a controller reads is missing, or its clock does not divide the controller's.
@@ -289,7 +289,7 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
 def along(
     law: SampledLaw, inputs: FloatArray, position: FloatArray, speed: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a law's inputs with a motor position, (periods,), and its states for an initial speed."""
+    """A law's inputs with a motor position, (periods,), and initial states."""
     inputs = inputs.copy()
     inputs[:, POSITION] = position
     return inputs, law.known_memory(inputs) + law.memory(POSITION, float(position[0]), speed)
@@ -370,7 +370,7 @@ def _share_clock(axes: Sequence[AxisInput], names: Sequence[str]) -> Clock:
 
 
 def _pack_laws(axes: Sequence[AxisInput]) -> dict[str, NDArray[Any]]:
-    """Return the controllers as `SampledLoop` has them, and their answers to everything but the positions."""
+    """Controllers as arrays of `SampledLoop`, with responses to all inputs except positions."""
     laws = [each.feedback for each in axes]
     phases = math.lcm(*(law.phases for law in laws))
     longest = max(each.periods for each in axes) if any(each.driven.size for each in axes) else 0
@@ -390,7 +390,7 @@ def _pack_laws(axes: Sequence[AxisInput]) -> dict[str, NDArray[Any]]:
 
 
 def _fill_up(arrays: Sequence[NDArray[Any]], beyond: float = 0.0, least: tuple[int, ...] = ()) -> NDArray[Any]:
-    """Return arrays in one, each filled up to the sizes of the largest."""
+    """Stack arrays, each padded to the largest sizes."""
     sizes = np.max([array.shape for array in arrays] + ([least] if least else []), axis=0)
     whole = np.full((len(arrays), *sizes), beyond, dtype=arrays[0].dtype)
     for one, own in zip(whole, arrays, strict=True):
@@ -410,7 +410,7 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
 
 
 def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:
-    """Convert a controller signal to the log's torque channel; linear. Where the log shows just that, return a view.
+    """Convert a controller signal to the logged torque (linear; maybe a view).
 
     The signal, (periods,) or (periods, columns), is the torque before the delay: piecewise constant over periods.
     """
@@ -430,7 +430,7 @@ def acting(axis: AxisInput, signal: FloatArray) -> FloatArray:
 
 
 def _sources(axis: AxisInput, periods: int) -> NDArray[np.int64]:
-    """Return the period of which the signal is at the tap in each part of each period."""
+    """Source period of the signal at the tap, for each part."""
     lags = axis.clock.lags[0] * (axis.tap is Tap.MEASURED)
     return np.asarray(np.maximum(np.arange(periods)[:, np.newaxis] - lags, 0).reshape(-1), dtype=np.int64)
 

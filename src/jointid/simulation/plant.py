@@ -1,6 +1,6 @@
-"""The numbers of a joint or of a robot, by name, and the plant that they are to `kernels.engine`.
+"""Numbers of a joint or robot by name, and their kernel plant.
 
-A joint alone is a robot of one axis that stands in no tree. The names are those of a joint's parameters.
+A joint alone is a robot of one axis without a tree. The names are those of a joint's parameters.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ class Place(NamedTuple):
 
     @property
     def of_record(self) -> bool:
-        """Whether it is of the record and how it begins, or of the drives, not of the robot."""
+        """True if it belongs to the record or drives, not the robot."""
         return self.name in OF_RECORD
 
     @property
     def side(self) -> str:
-        """The beginning of its name: "motor_", "load_", or "" of a rigid joint, a spring and the offset."""
+        """Prefix of the name: "motor_", "load_", or "" if on neither side."""
         side, _, own = self.name.partition("_")
         return f"{side}_" if own and side in ("motor", "load") else ""
 
@@ -86,12 +86,12 @@ class Numbers:
     """The numbers of a candidate, a joint or a robot.
 
     Attributes:
-        joints: (n,) whose laws they are.
-        values: (n,) of each its numbers by name. Of a robot's joint the Coulomb friction of a side is the mean of both
-            directions, and half of their difference a part of "offset" or "load_offset"; what moves behind its spring
-            is a link. Those of a record, or of drives, may be among them: see `OF_RECORD`; others are not read.
+        joints: (n,) with their laws.
+        values: (n,) numbers of each by name. In a robot the Coulomb friction of a joint's side is the mean of both
+            directions, and half of their difference is part of "offset" or "load_offset"; a link moves behind the
+            spring. Numbers of a record, or of drives, may be among them: see `OF_RECORD`; others are not read.
         inertials: (n, 10) of a robot's links; (0, 10) of a joint.
-        heavy: inertia of motors that follow a prescribed motion, their friction left out; 0 of those as they are.
+        heavy: inertia of motors without friction that follow a prescribed motion; 0 for the real motors.
     """
 
     joints: tuple[Joint, ...]
@@ -101,7 +101,7 @@ class Numbers:
 
     @classmethod
     def of_joint(cls, joint: Joint, values: Mapping[str, Any]) -> Numbers:
-        """Return those of a joint.
+        """Numbers of a joint.
 
         Raises:
             MethodError: a parameter has no value.
@@ -114,7 +114,7 @@ class Numbers:
 
     @classmethod
     def of(cls, robot: Robot) -> Numbers:
-        """Return those of a robot."""
+        """Numbers of a robot."""
         joints = robot.joints
         return cls(tuple(joint.model for joint in joints), tuple(map(_values_of, joints)), robot.inertials)
 
@@ -125,13 +125,13 @@ class Numbers:
         return self.values[place.axis][place.name]
 
     def __contains__(self, place: Place) -> bool:
-        """Test whether a place is of a number of the robot or the joint, not of a record or a controller."""
+        """True for a number of robot or joint, not record or controller."""
         own = place.own in ("viscous", "coulomb", "offset") or place.name in names_of(self.joints[place.axis])
         return place.of_link or (own and place.name in self.values[place.axis])
 
     @property
     def rows(self) -> list[list[int]]:
-        """The masses of each axis: motor, load, and what swings; a robot's links come before rotors behind springs."""
+        """Masses per axis: motor, load, swinging part; robots' links precede flexible rotors."""
         if not len(self.inertials):
             swings = self.values[0].get("swinging_share", 0.0) > 0.0
             return [list(range(len(self.joints[0].sides) + int(swings)))]
@@ -140,7 +140,7 @@ class Numbers:
 
     @property
     def sides(self) -> list[tuple[int, str]]:
-        """Axis and side of each mass in the order of these, but for what swings."""
+        """Axis and side of each mass in order, without swinging parts."""
         each = [(own[0], i, joint.sides[0]) for i, (own, joint) in enumerate(zip(self.rows, self.joints, strict=True))]
         each += [(own[1], i, "load_") for i, own in enumerate(self.rows) if len(own) > 1]
         return [(i, side) for _, i, side in sorted(each)]
@@ -162,7 +162,7 @@ class Numbers:
 
     @property
     def straight(self) -> bool:
-        """True of a joint whose laws are lines, its motor as it is: then its simulation is exact."""
+        """True for a piecewise linear joint without prescribed motion: exact simulation."""
         return not len(self.inertials) and self.joints[0].straight and not self.heavy
 
     @property
@@ -187,10 +187,10 @@ class Numbers:
         return plant
 
     def possible(self, plant: Plant, duration: float) -> bool:
-        """Test for masses, springs and friction of a physical joint or robot, for that many seconds.
+        """Test for physical masses, springs and friction over a duration, s.
 
-        Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise. Of
-        links the rotor's inertia may be negative: motion tells its sum with the link alone. No friction of a robot is
+        Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise. The
+        rotor of a link may be negative, since only their sum is identifiable. No friction of a robot is
         negative in any part, its springs have a stiffness, and its delays end before the record.
         """
         # Lists: arrays of so few numbers take longer than a joint's simulation of a second.
@@ -238,23 +238,23 @@ class Numbers:
         return replace(self, values=tuple(found), inertials=inertials)
 
     def with_record(self, other: Numbers, names: Sequence[str] = OF_RECORD) -> Numbers:
-        """Return a candidate with the numbers of a record, and of drives, of another."""
+        """Candidate with the record's and drives' numbers of another."""
         each = zip(self.values, other.values, strict=True)
         beside = [{**own, **{name: of[name] for name in names if name in of}} for own, of in each]
         return replace(self, values=tuple(beside))
 
     def not_zero(self) -> list[Place]:
-        """Return the places of the numbers that are not 0; of a rise towards standstill its share has the speed."""
+        """Places of nonzero numbers; a Stribeck term has its force only."""
         links = [Place(int(axis), SYMBOLS[column]) for axis, column in np.argwhere(self.inertials)]
         own = [Place(i, name) for i, values in enumerate(self.values) for name, value in values.items() if value]
         return links + [place for place in own if place in self and place.own != "stribeck_speed"]
 
     def seeds(self, plant: Plant, places: Sequence[Place]) -> Seeds:
-        """Return the derivatives of its plant's numbers by parameters, by a complex step.
+        """Derivatives of the plant's numbers by parameters, by a complex step.
 
         Args:
             plant: of these numbers.
-            places: of the parameters; the plant depends on none of a first state or a controller.
+            places: of the parameters; the plant does not depend on those of a first state or a controller.
         """
         found, behind = list[tuple[int, int, int, int, float]](), np.cumsum([0, *(len(own) - 1 for own in self.rows)])
         behind += len(plant.masses)
@@ -294,7 +294,7 @@ def names_of(joint: Joint) -> tuple[str, ...]:
 
 
 def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[AnyArray], list[AnyArray]]:
-    """Return the masses of a joint, the motor's first, and the springs between each two of them."""
+    """Masses of a joint, motor first, and the springs between neighbours."""
     friction, constant = joint.friction, joint.gravity_constant(values)
     if isinstance(joint, RigidJoint):
         return [_lower_mass(values["inertia"], values["offset"] + constant, friction, values, "")], []
@@ -317,7 +317,7 @@ def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[AnyArray]
 
 
 def _lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], side: str) -> AnyArray:
-    """Return a mass in each band of its friction, (bands, MASS + 1); complex of complex values."""
+    """Mass per friction band, (bands, MASS + 1); complex for complex values."""
     own = law.beside(values, side)
     length, *beside = (own[n] for n in ("presliding_distance", "viscous_drift", "coulomb_drift", "friction_per_torque"))
     winds = 1.0 / length if length != 0.0 else 0.0
@@ -325,7 +325,7 @@ def _lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, A
 
 
 def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
-    """Return a spring in each of its pieces, (pieces, SPRING); complex of complex values."""
+    """Spring per piece, (pieces, SPRING); complex for complex values."""
     own = law.beside(values)
     cubic, slider, slips = (own[name] for name in ("cubic_stiffness", "hysteresis_stiffness", "hysteresis_torque"))
     slides = slider / slips if slips != 0.0 else (math.nan if slider != 0.0 else 0.0)
@@ -337,7 +337,7 @@ def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
 
 
 def _stack(each: Sequence[AnyArray], width: int) -> FloatArray:
-    """Return arrays of rows in one, the last row of each again up to the length of the longest."""
+    """Stack arrays of rows, padded with each last row."""
     every = np.arange(max(map(len, each), default=1))
     return np.array([one[np.minimum(every, len(one) - 1)] for one in each]).reshape(-1, every.size, width)
 
@@ -346,7 +346,7 @@ def _stack(each: Sequence[AnyArray], width: int) -> FloatArray:
 
 
 def _values_of(joint: RobotJoint) -> dict[str, float]:
-    """Return the numbers of a robot's joint; its link has one viscous friction unless two are declared."""
+    """Numbers of a robot's joint; one viscous friction per link by default."""
     values, model = joint.values, joint.model
     found = {name: values[name] for name in names_of(model) if name != "load_inertia"}
     for side in model.sides if model.friction.two_ways else ():
@@ -360,7 +360,7 @@ def _values_of(joint: RobotJoint) -> dict[str, float]:
 
 
 def values_of_joint(numbers: Numbers, axis: int) -> dict[str, float]:
-    """Return the numbers of a robot's joint by the names of any law, those of both directions and of each."""
+    """Numbers of a joint under all laws' names, common and per direction."""
     found = dict(numbers.values[axis])
     for side in numbers.joints[axis].sides:
         shift = found.get("load_offset", 0.0) if side == "load_" else 0.0
@@ -372,9 +372,9 @@ def values_of_joint(numbers: Numbers, axis: int) -> dict[str, float]:
 
 
 def law_places(numbers: Numbers) -> Iterator[tuple[Place, Parameter]]:
-    """Yield the nonlinear numbers of the laws by joint: of the motors, the links and the springs.
+    """Yield nonlinear numbers of laws by joint: motors, links, springs.
 
-    Each with its parameter in the law. A side of a joint whose friction rises below no speed has no rise.
+    Each comes with its parameter in the law. A Stribeck force counts only with a positive Stribeck speed.
     """
     for i, joint in enumerate(numbers.joints):
         for side in joint.sides:
@@ -390,7 +390,7 @@ def law_places(numbers: Numbers) -> Iterator[tuple[Place, Parameter]]:
 def robot_with(robot: Robot, numbers: Numbers) -> Robot:
     """Return a robot with other numbers; names, places, gravity and coupling stay.
 
-    A Coulomb friction that is another backwards is one of both directions and an offset.
+    Asymmetric Coulomb friction becomes its mean and an offset.
 
     Raises:
         MethodError: a rotor's inertia, with what is grouped with it, is negative.

@@ -1,6 +1,6 @@
-"""Simulation of one candidate, a joint or a robot, under its controllers along the references of its records.
+"""Simulation of a candidate joint or robot under its controllers.
 
-All run in `kernels.engine`; a joint whose laws are lines in pieces goes by affine maps where nothing happens.
+All run in `kernels.engine`; piecewise linear joints are advanced by affine maps between events.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Run:
 
     @property
     def carried(self) -> Numbers:
-        """The numbers with what a robot carries beside them."""
+        """The numbers, with the payload of a robot."""
         return self.numbers.carrying(self.experiment.payload)
 
     @property
@@ -130,7 +130,7 @@ class Run:
 
     @property
     def torque(self) -> FloatArray:
-        """The torques as the log shows them, (samples, n); of a joint (samples,)."""
+        """Logged torques, (samples, n); (samples,) for a joint."""
         shown = self.experiment.to_log(self.command)
         return shown if self.experiment.tree is not None else shown[:, 0]
 
@@ -145,12 +145,12 @@ def run_loop(
     stride: float = FINE,
     room: Room | None = None,
 ) -> Run:
-    """Run one candidate; never raises for its numbers' sake: see the outcome.
+    """Simulate one candidate; invalid numbers give an outcome, not an exception.
 
     Args:
-        experiment: what drives it.
+        experiment: inputs of the loop, from `prepare`.
         numbers: of the candidate.
-        initial: where the motor of a joint is at the first sample.
+        initial: state of a joint's motor at the first sample.
         keep: also the tape, and where limits act.
         steps: of a robot's integrator per part of a step of the clock; None for as many as keep the fastest motion
             within a stride.
@@ -191,11 +191,11 @@ def integrate(
     z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, straight: bool = False,
     steps: int = 0, room: Room | None = None,
 ) -> tuple[Outcome, FloatArray, FloatArray, FloatArray, Path, IntArray]:  # fmt: skip
-    """Run `kernels.engine`, and keep its tape on demand, in the memory of a room.
+    """Run `kernels.engine`; keep its tape on demand, in a room's memory.
 
     Returns how it ended, then command, excess, tape, path and counts as `Run` has them.
 
-    The arguments are those of `kernels.engine.run`; straight is a joint whose laws are lines. Steps are those of the
+    The arguments are those of `kernels.engine.run`; `straight` for a piecewise linear joint. Steps are those of the
     integrator in the longest part of a step of the clock; 0 lets each choose its length.
     """
     from jointid.simulation.kernels import affine, engine
@@ -234,7 +234,7 @@ def integrate(
 
 
 def pass_on(torques: FloatArray, step: float) -> SampledLoop:
-    """Wrap given torques, (joints, parts), as laws with a period of `step` seconds."""
+    """Wrap given torques, (joints, parts), as laws of period `step`, s."""
     joints, parts = torques.shape
     none, zero = np.zeros((joints, 1, 0)), np.zeros((joints, 1, 1))
     lags, first = np.zeros((joints, 1), dtype=np.int64), np.zeros(joints, dtype=np.int64)
@@ -246,7 +246,7 @@ def pass_on(torques: FloatArray, step: float) -> SampledLoop:
 
 
 def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the motion as each part begins: positions, velocities, accelerations and modes, (parts, masses) each."""
+    """Positions, velocities, accelerations and modes at each part's start, (parts, masses)."""
     first = np.flatnonzero(np.diff(tape[:, PART], prepend=-1.0))[:parts]
     position, velocity, acceleration, modes = (
         np.take(tape[:, STATE + i * masses : STATE + (i + 1) * masses], first, 0) for i in (0, 1, 2, 4)
@@ -255,7 +255,7 @@ def motion_of(tape: FloatArray, masses: int, parts: int) -> tuple[FloatArray, Fl
 
 
 def motion_at(run: Run, parts: IntArray) -> MassMotion:
-    """Return the motion as these parts of the clock's steps begin; the tape must have been kept."""
+    """Motion at the start of given parts; needs the tape."""
     clock, masses = run.experiment.clock, run.start.places.size
     done = int(run.counts[2]) * clock.lengths.size
     if not done or not len(run.tape):
@@ -272,7 +272,7 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
 
 
 def _motion_of_lines(run: Run, at: IntArray, masses: int) -> MassMotion:
-    """Return the motion of a joint of straight lines, its accelerations just after the torque of a part acts."""
+    """Motion of a piecewise linear joint; accelerations just after torque changes."""
     clock, post, path = run.experiment.clock, run.experiment.sampled.post[0], run.path
     states, modes = path.states[at], path.modes[at].astype(np.int64)
     source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]
@@ -341,15 +341,15 @@ class Simulation:
 
     @property
     def load(self) -> Motion | None:
-        """Motion of a joint's load, at the instants of `motion`; None for a rigid joint."""
+        """Motion of a joint's load; None for a rigid joint."""
         return None if self.load_position is None else Motion(*(one[:, 1] for one in self.motion[:3]))
 
     def records(self, driven: Sequence[Record], force: str | None = None) -> tuple[Record, ...]:
-        """Return the records that drove it, with its torques and positions as drives would log them.
+        """The driving records with simulated torques and positions, as drives log them.
 
         Args:
-            driven: a record of each joint. Of a joint alone that of its load has a position, too.
-            force: unit of the torques, where it is not the one of the joint's kind.
+            driven: a record of each joint. That of a single joint also has the position of its load.
+            force: unit of the torques, if it is not that of the joint's kind.
         """
         made, alone = [], self.torque.ndim == 1
         for j, record in enumerate(driven):
@@ -368,11 +368,11 @@ class Simulation:
 
 
 def choose_steps(tree: Tree, references: FloatArray, length: float, plant: Plant, inertials: FloatArray) -> int:
-    """Return the steps of a time of this length that keep the robot's fastest motion within 0.5 rad each.
+    """Steps per `length` that keep the robot's fastest motion within 0.5 rad.
 
     Args:
         tree: of the links.
-        references: (samples, n) where the shafts are about.
+        references: (samples, n) approximate positions of the shafts.
         length: s.
         plant: masses and springs.
         inertials: of the links.

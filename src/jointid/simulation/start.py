@@ -1,9 +1,9 @@
-"""How a simulation begins, and how that depends on its parameters.
+"""Initial state of a simulation, and its derivatives by parameters.
 
-A joint's motor begins where it is said to be, or on its reference at rest, and the load hangs on it. At rest the
+A joint's motor begins at the given state, or on its reference at rest, and the load hangs on it. At rest the
 controllers' torques hold a robot's weight, and friction holds none of it. In motion every shaft has the velocity and
-the acceleration of its reference, and the controllers' torques are those that this takes: the reference leads by what
-puts them out.
+the acceleration of its reference, and the controllers' torques are those of this motion: the reference leads by the
+error that causes them.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Start(NamedTuple):
     Attributes:
         places, speeds: (masses,) of all masses. wound: (masses,) the share of friction that is wound up, or the
             direction in which each slides.
-        torques: (n,) that the motors put out, what is added behind the limits left out; None of a controller that puts
-            out what its own state says.
+        torques: (n,) of the motors, without additions behind the limits; None for a controller whose own state
+            determines the torque.
         states: (n, states) of the controllers. before: (n,) torques that acted before the first period.
     """
 
@@ -62,7 +62,7 @@ class Start(NamedTuple):
 
 
 def begin(experiment: LoopInput, numbers: Numbers, initial: Initial | None = None) -> Start:
-    """Return the first state; of a robot as its records say, of a joint as it is said."""
+    """Initial state: a robot's from its records, a joint's from `initial`."""
     initial = initial or Initial()
     if experiment.tree is not None:
         steady = _steady(experiment, numbers)
@@ -108,7 +108,7 @@ def wound_up(axis: AxisInput, velocity: float) -> float:
 def start_slopes(
     experiment: LoopInput, numbers: Numbers, start: Start, keys: Sequence[Place]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of places and of speeds, (masses, keys), and of controllers' states, (n, states, keys)."""
+    """Derivatives of places, speeds, (masses, keys), and controller states, (n, states, keys)."""
     if experiment.tree is None:
         steady = steady_joint(numbers, float(start.places[0]), float(start.speeds[0]), float(start.wound[0]))
     else:
@@ -132,15 +132,15 @@ def start_slopes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steady:
-    """A joint or a robot as it moves at the first sample of what drives it: a closed loop, or a prescribed motion.
+    """Steady motion of a joint or robot at the first driving sample.
 
     Attributes:
         numbers: of it.
-        free: (n,) where the motors stand without a torque.
+        free: (n,) positions of the motors without a torque.
         speeds, accelerations: (n,) of the shafts.
-        tree: of the links; None of a joint, whose load weighs what it weighs at rest.
+        tree: of the links; None of a joint, with its weight at rest.
         pushed: (n,) the torques on the motors there.
-        soft: (n,) the torque that moves each by 1 from there, negative; minus infinity of one that does not give way.
+        soft: (n,) torque per displacement of each from there, negative; minus infinity if it does not give way.
     """
 
     numbers: Numbers
@@ -152,14 +152,14 @@ class Steady:
     soft: FloatArray | float = -math.inf
 
     def of_masses(self, of_shafts: FloatArray) -> FloatArray:
-        """Return values of the shafts, (n, ...), at all masses that move with them, (masses, ...)."""
+        """Copy values of shafts, (n, ...), to masses moving with them, (masses, ...)."""
         found = np.zeros((self.numbers.count, *of_shafts.shape[1:]))
         for own, value in zip(self.numbers.rows, of_shafts, strict=True):
             found[own] = value
         return found
 
     def settle(self) -> tuple[FloatArray, FloatArray]:
-        """Return the positions of all masses, (masses,), and the torque of each motor, (n,), by Newton's method."""
+        """Balance by Newton's method: mass positions, (masses,), and motor torques, (n,)."""
         n = self.free.size
         at = self.free
         for _ in range(_SETTLING):
@@ -173,9 +173,9 @@ class Steady:
         return found[n:-n], found[-n:]
 
     def slopes(self, places: FloatArray, keys: Sequence[Place]) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of the positions, (masses, keys), and of the motors' torques, (n, keys).
+        """Derivatives of positions, (masses, keys), and of motor torques, (n, keys).
 
-        Where links are in balance it moves with the numbers: ``dq = (1 - G_q)^-1 G_p`` where it is ``q = G(q, p)``.
+        The balance of the links, ``q = G(q, p)``, moves with the numbers by ``dq = (1 - G_q)^-1 G_p``.
 
         Args:
             places: (masses,) positions in balance.
@@ -197,7 +197,7 @@ class Steady:
         return moved[n:-n], moved[-n:]
 
     def _moved(self, key: Place) -> tuple[Steady, Steady, float] | None:
-        """Perturb a parameter down and up; return both equilibria and the difference, None without an effect."""
+        """Perturb a parameter both ways: two equilibria and the difference, or None."""
         if key.name == INITIAL[1]:  # at rest the drag of steady motion jumps
             low, high = (replace(self, speeds=self.speeds * factor) for factor in (1.0 - _SMALL, 1.0 + _SMALL))
             return (low, high, float(2.0 * _SMALL * self.speeds[key.axis])) if self.speeds[key.axis] else None
@@ -215,13 +215,13 @@ class Steady:
         return np.column_stack([(high - low) / width for high, low, width in both])
 
     def balance(self, at: FloatArray) -> FloatArray:
-        """Return the links' positions, (n,), those of all masses and the motors' torques, (n,), in a row.
+        """Link positions, (n,), mass positions and motor torques, (n,), in a row.
 
-        Friction may grow with what is carried; at rest it may carry any part of a load up to its own size, and is taken
-        to carry nothing.
+        Friction may grow with the load. At rest it could carry any part of a load up to its own size, and is assumed to
+        carry none.
 
         Args:
-            at: (n,) the links' positions, where they weigh what they weigh.
+            at: (n,) the links' positions, for their weight.
         """
         weights, deflections = self._weigh(at), np.zeros(at.size)
         for j, (joint, values) in enumerate(zip(self.numbers.joints, self.numbers.values, strict=True)):
@@ -238,7 +238,7 @@ class Steady:
         return np.concatenate([motors - deflections, found, weights])
 
     def _weigh(self, at: FloatArray) -> FloatArray:
-        """Return the torques of the links, or of the load, behind the springs, (n,)."""
+        """Torques of links, or of the load, behind the springs, (n,)."""
         numbers, n = self.numbers, at.size
         taken = np.zeros(n)
         if self.tree is None:
@@ -254,13 +254,13 @@ class Steady:
 
 
 def steady_joint(numbers: Numbers, position: float, velocity: float, sliding: float) -> Steady:
-    """Return a joint at rest or in steady motion; presliding friction that has not wound up drags nothing."""
+    """Joint at rest or in steady motion; unwound presliding friction is 0."""
     speed = velocity if sliding or not numbers.joints[0].stepped else 0.0
     return Steady(numbers, np.array([position]), np.array([speed]), np.zeros(1))
 
 
 def _steady(experiment: LoopInput, numbers: Numbers) -> Steady:
-    """Return the robot as its records begin.
+    """Steady state of a robot at the start of its records.
 
     A law with an integral holds the load on the reference; one without is off by the torque over its gain. Springs are
     stretched by the load.

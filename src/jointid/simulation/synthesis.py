@@ -1,4 +1,4 @@
-"""Simulation of a joint or a robot under its controllers, and the records that its drives would log."""
+"""Simulation of a joint or robot under controllers, and simulated records."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ def simulate(
     *,
     steps: int | None = None,
 ) -> Simulation:
-    """Simulate a joint or a robot under its controllers; a failure is the simulation's `outcome`.
+    """Simulate a joint or robot under its controllers; failures are an `outcome`.
 
     Args:
         loop: joint and controller, or robot and controllers.
-        record: with the reference and what is injected, or what `prepare` makes of it; for a robot a record of each
+        record: with the reference and any injection, or the result of `prepare`; for a robot a record of each
             joint. Torques and positions in it are not read.
         values: every parameter of the joint by name; the numbers of a robot, by default its own.
-        initial: where the motor of a joint is at the first sample.
+        initial: state of a joint's motor at the first sample.
         steps: of a robot's integrator per part of a period; None keeps the fastest motion below 0.5 rad a step.
 
-    A joint whose laws are lines in pieces is exact to rounding. All other joints and robots are integrated by a
+    A piecewise linear joint is exact to rounding. All other joints and robots are integrated by a
     Runge-Kutta method of order 4 between located events.
 
     Raises:
@@ -87,7 +87,7 @@ def simulated_record(
         disturbance: (samples,) an unknown force on the motor, inside the loop; not logged.
         torque_noise: (samples,) added to the logged torque only.
         encoder_step: positions are rounded to multiples of it in the log; the loop sees them exactly.
-        initial: where the motor is at the first sample.
+        initial: state of the motor at the first sample.
         tap: where the torque is logged.
         name: of the record.
 
@@ -137,7 +137,7 @@ def simulated_record(
 def add_feed_forward(
     loop: RobotLoop, records: Sequence[Record], kind: Literal["gravity", "inverse-model"] = "inverse-model"
 ) -> tuple[Record, ...]:
-    """Return the records with the torque of the robot's model along the references injected before the limits.
+    """Inject the robot model's torque along the references before the limits.
 
     Args:
         loop: robot and controllers; the model is the robot with its own numbers, links and rotors without springs.
@@ -166,10 +166,10 @@ def add_feed_forward(
 
 
 def tracking_errors(records: Sequence[Record], run: Simulation) -> dict[int, float]:
-    """Return how far each joint that does not follow its reference gets off it, by its place, rad or m.
+    """Largest deviation, rad or m, of each joint not following its reference.
 
-    One follows that stays within half of its reference's travel, and 0.1 rad or m: a loop may be slow, and a weight may
-    pull it down, but a joint without gains falls.
+    A joint follows if it stays within half of its reference's travel plus 0.1 rad or m. A slow loop or a weight stays
+    within these limits; a joint without gains falls.
     """
     at, found = np.arange(len(run.motor_position)) * run.sample_time, {}
     for j, record in enumerate(records):

@@ -25,10 +25,10 @@ _AT_REST = Record(reference=Channel(np.zeros(10), "rad", 1e-3))
 
 
 def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
-    """Compile the simulation of a joint with such laws, by default straight lines, or load it from the cache.
+    """Compile a joint's simulation (by default linear laws), or load the cache.
 
     Args:
-        joint: whose laws' kernels are compiled; those of others are by the first joint that has one.
+        joint: with the laws to compile; other laws are compiled at their first use.
         derivatives: also those of the derivatives.
     """
     joint = joint or RigidJoint("revolute")

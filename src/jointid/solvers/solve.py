@@ -1,4 +1,4 @@
-"""The verb `solve`: a problem, its solution, and bounded least squares by Levenberg-Marquardt; and linear ones by QR.
+"""`solve`: bounded least squares by Levenberg-Marquardt, and linear ones by QR.
 
 Each step of the solver minimises the damped linear problem within the bounds.
 """
@@ -143,11 +143,11 @@ class LevenbergMarquardt:
     Attributes:
         tolerance: relative, on the criterion and the parameters.
         evaluations: at most, each with the derivatives.
-        reach: (parameters,) how far one step may move each; as far as its bounds when None. A step far outside where
-            the linear model holds may lower the error, and yet end where the torque depends on a parameter no more.
-        worth: relative, of the criterion: a step of which the linear model promises less is not made, and nothing
-            evaluated. For problems whose evaluations are dear; 0 makes every step.
-        enough: norm of a residual that is as good as none, where the search is over.
+        reach: (parameters,) largest change of each per step; None leaves only the bounds. A step far outside the range
+            of the linear model may lower the error, and yet end where a parameter has no effect on the torque.
+        worth: relative, of the criterion: a step with a smaller predicted decrease is not made or evaluated. For
+            problems with expensive evaluations; 0 makes every step.
+        enough: norm of the residual at which the search ends.
     """
 
     tolerance: float = 1e-8
@@ -215,7 +215,7 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
 
 
 def _gain(norm: float, after: FloatArray, *slopes: FloatArray) -> float:
-    """Relative decrease of the criterion from a residual's norm; minus infinity where squares are not numbers."""
+    """Relative decrease of the criterion; minus infinity for overflow or NaN."""
     if not all(bool(np.all(np.abs(array) < _LARGEST)) for array in (after, *slopes)):
         return -math.inf
     return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
