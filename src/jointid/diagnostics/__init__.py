@@ -1,1 +1,1 @@
-"""Diagnostics: validation, loop check, methods side by side, intervals, sensors and tests, changes."""
+"""Diagnostics: validation, loop check, comparison of methods, intervals, sensors, changes."""

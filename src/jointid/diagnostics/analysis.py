@@ -63,7 +63,7 @@ class FrequencyResponse:
 
 
 def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: float) -> tuple[FloatArray, ...]:
-    """Return frequencies, Hz, and the spectra there of a measured and a predicted signal, and of their difference.
+    """Frequencies, Hz, and amplitude spectra of measured and predicted signal, and difference.
 
     These are one-sided amplitude spectral densities, averaged over windows (Welch 1967), (lines,) in the signal's unit
     per square root of Hz.
@@ -114,7 +114,7 @@ def intervals(
     record: Record,
     quantities: Sequence[str] | None = None,
 ) -> Profiles:
-    """Return profiles of an estimate by DIDIM, each on the side of the transmission that the estimate is on.
+    """Profiles of an estimate by DIDIM, on its side of the transmission.
 
     Args:
         estimate: of the record.
@@ -169,7 +169,7 @@ def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProbl
 
 
 def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
-    """Return the combination of parameters in a text such as ``a + b - c``."""
+    """Parse a combination of parameters such as ``a + b - c``."""
     weights = weights_of(quantity)
     free = {p.name: p for p in problem.free}
     units = {problem.units[name] for name in weights.keys() & free.keys()}
@@ -183,7 +183,7 @@ def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination
 
 
 def weights_of(quantity: str) -> dict[str, float]:
-    """Return the sign of each parameter in a text such as ``a + b - c``, by name."""
+    """Signs by parameter in text such as ``a + b - c``."""
     first, *others = re.split(r"\s([+-])\s", quantity)  # a joint's name may have a hyphen: head-pan
     signed = [("-" if first.strip().startswith("-") else "+", first.strip().removeprefix("-"))]
     signed += zip(others[::2], others[1::2], strict=True)

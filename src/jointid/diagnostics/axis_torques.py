@@ -1,7 +1,7 @@
-"""The torques of a record beside those of an estimate, axis by axis, on the rows that were compared.
+"""Measured and predicted torques of each axis, on the compared rows.
 
-Beside them stand the columns of the free parameters, and of the faults that a motion shows (`Fault.columns`). All go
-through the filter of the torques.
+The columns of the free parameters, and of the faults that a motion shows (`Fault.columns`), pass the filter of the
+torques, too.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class AxisTorques:
         time: (rows,) instants of the rows, by the log's own clock [s].
         sample_time, cutoff: s between rows, and Hz of the filter.
         measured, predicted: (n, rows) N m or N, behind the gear.
-        seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
+        seen: (n, rows) False where a motor rests or reverses, where the friction is undetermined.
         position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s.
         own: (n, rows, free) columns of the free parameters.
-        shapes: what each fault adds to the torque of each axis along its motion, (rows,) each, or to the torques of all
+        shapes: effect of each fault on the torque of each axis along its motion, (rows,) each, or on the torques of all
             axes, (n, rows).
         along_measured_motion: whether the positions are those of the log.
     """
@@ -75,7 +75,7 @@ class AxisTorques:
 
     @property
     def sigma(self) -> FloatArray:
-        """Sizes of the errors in rows that are seen, (n,); 1 without an error."""
+        """RMS errors in the seen rows, (n,); 1 without an error."""
         each = np.sqrt(np.sum(self.error**2 * self.seen, axis=1) / np.maximum(np.sum(self.seen, axis=1), 1))
         return np.where(each > 0.0, each, 1.0)
 
@@ -86,19 +86,19 @@ class AxisTorques:
         return [slice(*pair) for pair in itertools.pairwise(ends)]
 
     def judge(self, axis: int, rest: FloatArray | None = None) -> tuple[float, Whiteness | None]:
-        """Return the share of an axis' torque that the error leaves, or a `rest` of `stack`, and its whiteness."""
+        """Residual share and whiteness of an axis's torque, or of a `rest`."""
         whole = float(np.linalg.norm(self.measured[axis])) or 1.0
         left = self.error[axis] if rest is None else self.sigma[axis] * rest
         white = whiteness(left[self.seen[axis]] if rest is None else left, self.sample_time, self.cutoff)
         return float(np.linalg.norm(left)) / whole, white
 
     def stack(self, each: FloatArray) -> FloatArray:
-        """Return values of all axes, (n, rows, ...), in the compared rows, scaled by the sizes of the errors."""
+        """Stack compared rows of all axes, (n, rows, ...), scaled by error size."""
         return np.concatenate([part[s] / size for part, s, size in zip(each, self.seen, self.sigma, strict=True)])
 
     @property
     def places(self) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity in the rows of all axes that are seen, (rows,), each axis apart by its range."""
+        """Position and velocity of seen rows, (rows,), with axes separated by range."""
 
         def scale(values: FloatArray) -> FloatArray:
             return values / (float(np.max(np.abs(values), initial=0.0)) or 1.0)
@@ -108,19 +108,19 @@ class AxisTorques:
         return np.concatenate(where), np.concatenate(speed)
 
     def place(self, axis: int, column: FloatArray) -> FloatArray:
-        """Return a column of one axis, (rows,), or of all, (n, rows), among the rows of all, as `stack` has them."""
+        """Expand columns of one axis to the rows of all axes."""
         everywhere = np.zeros_like(self.error)
         everywhere[axis if column.ndim == 1 else slice(None)] = column
         return self.stack(everywhere)
 
 
 def is_noise(left: float, white: Whiteness | None) -> bool:
-    """Test whether the residual share of a torque is small, or not significantly coloured."""
+    """Test whether a residual is small, or not significantly coloured."""
     return left < _LEFT or white is None or white.white or white.p_value > _SURE
 
 
 def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
-    """Return the torque of a joint's solved problem, beside that of its simulation, without shapes of faults."""
+    """Measured and simulated torque of a solved joint problem, without fault shapes."""
     run, (error, slopes) = problem.simulate(x), problem.linearise(x)
     measured = problem.filter(problem.measured)
     path = problem.filter(np.column_stack([run.motor_position, run.motor_velocity]))
@@ -133,7 +133,7 @@ def torques_of_loop(problem: ClosedLoopProblem, x: FloatArray) -> AxisTorques:
 
 
 def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorques:
-    """Return the torques of the joints' records that a robot's estimate is from, beside its own.
+    """Torques of a robot's records, with those predicted by its estimate.
 
     Raises:
         RecordError, MethodError: as of the identification.
@@ -160,7 +160,7 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
             return decimate_each(problem.log, list(np.moveaxis(columns, 1, 0)))
 
     def thin(columns: FloatArray) -> FloatArray:
-        """Return columns, (samples, n, columns), filtered, (n, rows, columns)."""
+        """Filter columns, (samples, n, columns), to (n, rows, columns)."""
         return np.asarray(decimate(columns)).reshape(n, -1, columns.shape[2])
 
     measured, predicted = measured.reshape(n, -1), predicted.reshape(n, -1)
@@ -197,10 +197,10 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
 
 
 def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
-    """Return the torques of a compliance in each joint, (samples, n, n shares), per unit of it.
+    """Torques per unit compliance of each joint, (samples, n, n shares).
 
-    The links behind it turn back by the torque that winds it. That moves them all, and not the motors. What share of
-    the joint's own inertia is its rotor is not known where both are one base parameter: several are tried.
+    A compliance lets the links turn back under their torque, while the motors keep their motion. The rotor's share of
+    the joint's inertia is unknown if both are one base parameter, so several shares are tried.
     """
     n = len(part.model)
     sums = part.parameters  # a rotor may begin a sum with its link
@@ -229,10 +229,10 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
 def _list_reference_laws(
     part: IdentifiedRobot, records: Sequence[Record], problem: Simulated, predicted: FloatArray
 ) -> list[list[FaultSignature]]:
-    """Return the changes of the torque of each joint by other uses of its reference, per unit of size, (rows,).
+    """Torque changes by other uses of a joint's reference, per size, (rows,).
 
-    One simulation for each shows it for all joints at once: what a joint's reference changes of another's torque is
-    little. The torques of the problem, filtered, are (n, rows).
+    One simulation of each use serves all joints at once, since a joint's reference hardly affects another's torque.
+    `predicted` has the filtered torques of the problem, (n, rows).
     """
     setup, log, each = cast("RobotLoop", part.setup), problem.sample_time, list[dict[Fault, Any]]()
     for law, record, read in zip(setup.controllers, records, problem.log.experiment.axes, strict=True):

@@ -1,11 +1,11 @@
-"""Gross mistakes of a joint's declaration and log: one table of the changes that correct them, and their words.
+"""Gross mistakes in declaration and log: table of corrections and their texts.
 
 A torque that is g times too large, a reference that is g times too small and a law whose gain is g times too small give
 the same record of another joint: ``u = g C(r - q)``. A number on the wrong side of a gear of ratio N is a factor of N
 or N^2. So one change stands for all of them. The factor is a hint: 57.3 is an angle in degrees, 1000 a length in mm, a
 gear's ratio or its square the wrong side of the gear.
 
-To add one, write what corrects it, its words, and its row.
+To add one, write its correction, its text and its row.
 
 Laws that a drive may run instead of the declared one, with the same settings, are rows, too. An integral sums the
 errors of earlier periods, or also that of the present one; manuals seldom say which. With the present one a PI of 1 kHz
@@ -63,9 +63,9 @@ class Cause:
         name: its code.
         words: clause that states it, with its remedy.
         value: correct number in the unit of the declaration, or a factor of the record; None without a number.
-        left: with it corrected, the residual share of the filtered torque; of a robot the squares of each joint's
-            residual by those as declared, as a sum.
-        joints: of a robot, that it concerns; none of a base.
+        left: residual share of the filtered torque after its correction; of a robot the sum over joints of squared
+            residuals relative to those as declared.
+        joints: affected joints of a robot; empty for the base.
     """
 
     name: str
@@ -83,10 +83,10 @@ class Case:
         record: corrected.
         loop: corrected.
         filtering: resolved for this record.
-        free: name of a number around the joint that is not known; "" without one.
-        starts: of that number of the controller.
-        factor: of the correction of the record, if it is a number; the number that is free comes on top of it.
-        beside: names of what the identification finds beside the joint, free as well.
+        free: name of an unknown number outside the joint; "" without one.
+        starts: start values of that number.
+        factor: of the correction of the record, if it is a number; the free number multiplies it.
+        beside: names of further free numbers outside the joint.
         change: that corrects the mistake; None as declared.
     """
 
@@ -148,12 +148,12 @@ class Case:
 
 
 class Change(NamedTuple):
-    """A row of the table: what corrects a mistake, and what it then is.
+    """A row of the table: correction of a mistake, and its causes.
 
     Attributes:
         name: its code.
         correct: yields the cases in which it is corrected.
-        say: yields the causes that it may be, given the number that was found and the case as declared.
+        say: yields the possible causes, from the identified number and the case as declared.
     """
 
     name: str
@@ -162,7 +162,7 @@ class Change(NamedTuple):
 
 
 def is_small(cause: Cause, declared: Case) -> bool:
-    """Test whether a value differs too little from the declaration to be a cause: a factor, a gain, or a time."""
+    """Test whether a cause's value is too near the declared one."""
     value, numbers = cause.value, declared.numbers
     if value is not None and cause.name.endswith(("scale", "gain")):
         known = numbers.get(cause.name, 1.0)
@@ -245,7 +245,7 @@ def _try_sample_times(case: Case) -> Iterator[Case]:
 
 
 def _try_torque_scales(case: Case) -> Iterator[Case]:
-    """Yield the torque in other scales beside an injected signal, which keeps its own."""
+    """Yield other torque scales beside an injected signal, which keeps its own."""
     for factor in _SCALES if case.record.injected is not None else ():
         yield replace(case.logging(torque=case.torque.values / factor), free="log_gain", factor=factor)
 
@@ -272,9 +272,9 @@ def _say_times(factor: float) -> str:
 
 
 def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Cause]:
-    """Yield the meanings of a factor of the torque or of a gain of the law, the most particular first.
+    """Yield causes of a torque or law factor, the most specific first.
 
-    An injected signal in its own scale tells the torque from law and reference.
+    An injected signal with its own scale distinguishes the torque from the law and the reference.
     """
     assert value is not None
     numbers, constant = case.numbers, getattr(case.controller, "gain", 1.0)
@@ -306,7 +306,7 @@ def _say_sample_time(value: float | None, _: Case) -> Iterator[Cause]:
 
 
 def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iterator[Cause]:
-    """Yield one mistake, its clause with the number and the declared one as {shown} and {declared}, with units."""
+    """Yield one mistake; its clause may contain {name}, {shown} and {declared}."""
 
     def show(value: float) -> str:
         if name.endswith(("delay", "filter")):
@@ -388,7 +388,7 @@ OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIO
 
 
 def list_changes(case: Case) -> Iterator[Change]:
-    """Yield every change in the order in which they are tried: the table, then what a drive may do otherwise."""
+    """Yield all changes in order: the table, then other laws of drives."""
     yield from CHANGES
     for laws in list_variants(case.controller, case.record, case.torque.sample_time, case.period):
         for law in (one for one in laws if one.fault is PERIOD or one.fault.name in WHOLE):
@@ -399,10 +399,10 @@ def list_changes(case: Case) -> Iterator[Change]:
 
 
 def list_variants(law: Any, record: Record, log: float, period: float) -> Iterator[tuple[OtherLaw, ...]]:
-    """Yield the ways in which a drive may use reference, position and velocity, each by its laws, the plainest first.
+    """Yield other uses of reference, position and velocity, as laws, simplest first.
 
-    What the first one changes shows whether the record can tell. Cubics matter to a law that differentiates the
-    reference: from lines it gets the velocity half a sample late.
+    The effect of the first law shows whether the record can distinguish it. Cubics matter to a law that
+    differentiates the reference: lines delay the velocity by half a sample.
 
     Args:
         law: as declared.
@@ -444,7 +444,7 @@ def average(law: Any, mean: float) -> OtherLaw:
 
 
 def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:
-    """Yield the laws that a drive may run under the same settings, at the same rate."""
+    """Yield other laws with the same settings at the same rate."""
     if getattr(controller, "integral_gain", 0.0):
         other, gain, more = with_present_sample(controller, period), "position_gain", ""
         if hasattr(controller, "velocity_gain"):
@@ -460,7 +460,7 @@ def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:
 
 
 def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:
-    """Return the interpolations besides the one in use; none where one is declared."""
+    """Interpolations other than the one in use; none if one is declared."""
     assert record.reference is not None
     declared = getattr(controller, "interpolation", "none is possible")
     if declared is not None or record.reference.sample_time < _SLOWER * period:

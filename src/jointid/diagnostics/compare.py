@@ -28,9 +28,9 @@ class QuantityChange:
     Attributes:
         name, symbol, unit: of the quantity.
         before, after: its values; None where not identifiable.
-        difference: after less before; None where there is none.
-        std: of the difference; None where it is not tested.
-        p_value: of the difference, adjusted for all quantities tested; None where it is not tested.
+        difference: after less before; None if a value is missing.
+        std: of the difference; None if it is not tested.
+        p_value: of the difference, adjusted for all quantities tested; None if it is not tested.
         reason: why it is not tested.
     """
 
@@ -101,7 +101,7 @@ class EstimateComparison(Documented):
 
 
 def compare(before: Mapping[str, Any], after: Mapping[str, Any]) -> EstimateComparison:
-    """Set two estimates of one joint side by side, and test each difference.
+    """Compare two estimates of one joint, and test each difference.
 
     Args:
         before: the first estimate, as `to_dict` returns it.
@@ -142,7 +142,7 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any]) -> EstimateComp
 
 
 def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
-    """Return the properties that two estimates must share; of a robot its sums, too."""
+    """Properties that two estimates must share; for a robot, also its sums."""
     system = answer.get("settings", {})["system"]  # an estimate that is no document has no `get`
     gear, unit = system.get("transmission"), str(answer["data"]["torque_unit"])
     if "joints" in system:
@@ -155,7 +155,7 @@ def _describe_system(answer: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _quantities(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
-    """Return the parameters by name, but those of the initial state."""
+    """Parameters by name, without those of the initial state."""
     rows = {name: read(EstimatedParameter, raw) for name, raw in answer["parameters"].items()}
     of_motion = {name for name in rows if name.rpartition(".")[2].startswith("initial_")}
     if "joints" in answer["settings"]["system"]:
@@ -174,7 +174,7 @@ def _sums(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
 def _compare(
     name: str, before: EstimatedParameter | None, after: EstimatedParameter | None, same: bool
 ) -> QuantityChange:
-    """Return the change of a quantity, which either may lack; its p-value is not adjusted.
+    """Change of a quantity, which either may lack; p-value not adjusted.
 
     Raises:
         MethodError: its unit is another one.

@@ -1,7 +1,7 @@
-"""The verb `diagnose`: what is wrong with a record, with its loop and with its joint.
+"""`diagnose`: faults of a record, its loop and its joint.
 
-The record's own questions come first: clock, torque, motion, controller. The joint is then identified once, and its
-loop, its log and itself are tested (`diagnosis`). Where no joint can be identified, the causes are searched for.
+The record is examined first: clock, torque, motion, controller. The joint is then identified once, and loop, log and
+joint are tested (`diagnosis`). If no joint can be identified, the causes are searched for.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def diagnose(
     search: Callable[..., Estimate] = identify,
     progress: Progress = ignore_progress,
 ) -> Diagnosis:
-    """Find faults of a record, its clock, the loop, the log and the joint.
+    """Find faults of a record, its clock, loop, log and joint.
 
     Clock, torque, motion and controller of the record are examined. Then of each axis the residual is tested for
     whiteness and for what it correlates with, and each possible fault of loop, log and mechanics by its effect on the
@@ -120,7 +120,7 @@ def diagnose(
 
 
 def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedLoop | None]]:
-    """Return name, record and, where the controller is known, the loop of a joint, or of those of a robot.
+    """Name, record and, if known, loop of each joint.
 
     Raises:
         MethodError: it is another model, or there are not as many records as joints.
@@ -135,7 +135,7 @@ def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedL
 
 
 def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
-    """Yield the faults of a joint's torque, limit, motion and controller; what is missing is refused later."""
+    """Yield faults of torque, limit, motion and controller; missing channels fail later."""
     torque = record.torque
     if torque is None:
         return
@@ -155,7 +155,7 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
 
 
 def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progress: Progress) -> Symptom:
-    """Return the cause of a failed identification; its error if none is found."""
+    """Cause of a failed identification; its error if none is found."""
     causes = find_failure_causes(record, loop, progress=progress)
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
         return Symptom(_UNREADABLE if isinstance(error, RecordError) else "not_identified", str(error))
@@ -164,7 +164,7 @@ def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progr
 
 
 def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:
-    """Yield the faults of the loop and the fit of an estimate, and its undecided checks."""
+    """Yield faults of an estimate's loop and fit, and its undecided checks."""
     loop, fit = estimate.about(Subject.LOOP), estimate.fit
     if loop and not loop[0].passed:
         values = loop[0].values

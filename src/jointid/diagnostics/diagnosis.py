@@ -1,8 +1,8 @@
-"""Diagnosis of an estimate, axis by axis: faults of its loop, its log and its joint.
+"""Diagnosis of an estimate by axis: faults of loop, log and joint.
 
-The part of the torque that the estimate leaves is tested for whiteness, and the faults for theirs; the controller's
-torque is compared along the logged motor position, without a model of the axis, so that its faults are distinguished
-from those of the model.
+The residual torque is tested for whiteness, and for the signature of each fault. The controller's torque is compared
+along the logged motor position, without a model of the axis, so that its faults are distinguished from those of the
+model.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ class Symptom:
     """A fault or an open question of a record or its estimate.
 
     Attributes:
-        code: of it; a cause that was found has its own.
+        code: of the symptom, or of the cause that was found.
         said: clause with its numbers and its remedy.
-        axis: name of the joint of a robot; "" of a joint alone, and of all joints.
-        spoils: whether an estimate with it is not relied on.
+        axis: name of the joint of a robot; "" for a single joint and for all joints.
+        spoils: whether it makes the estimate unreliable.
     """
 
     code: str
@@ -71,14 +71,14 @@ class AxisDiagnosis:
 
     Attributes:
         name: of the joint; empty of a joint alone.
-        left: share of its filtered torque that the estimate leaves.
-        whiteness: of what is left; None where the record is too short.
-        law: what the declared controller leaves of the logged torque; None without a controller, a reference or a
+        left: residual share of its filtered torque.
+        whiteness: of the residual; None if the record is too short.
+        law: comparison of the declared controller with the logged torque; None without a controller, a reference or a
             logged motor position.
         faults: that were tested, and those found.
-        repeats: whether what is left repeats with the axis' motion; None where that was not tested.
-        caused: whether a cause explains what is left that is none of this axis alone.
-        signal: what was compared: "torque", or one that is computed from the position.
+        repeats: whether the residual repeats with the axis's motion; None if not tested.
+        caused: whether a cause that is not of this axis alone explains the residual.
+        signal: the compared signal: "torque", or one that is computed from the position.
     """
 
     in_json = "explained as_declared law_holds"
@@ -93,17 +93,17 @@ class AxisDiagnosis:
 
     @property
     def explained(self) -> bool:
-        """True if what is left is small, or nothing but noise as far as is seen."""
+        """True if the residual is small or noise, as far as tested."""
         return is_noise(self.left, self.whiteness) or (self.repeats is False and not self.faults.findings)
 
     @property
     def law_holds(self) -> bool | None:
-        """Whether the declared controller makes the logged torque; None where that is not seen."""
+        """Whether the declared controller outputs the logged torque; None if untested."""
         return None if self.law is None else self.law.holds
 
     @property
     def as_declared(self) -> bool | None:
-        """False if loop or log has a fault, or the controller does not hold; None if neither was tested."""
+        """False if loop, log or controller has a fault; None if untested."""
         faulty = any(not (self.name and one.test.fault.of_model) for one in self.faults.findings)
         if faulty or self.law_holds is False or self.faults.part is not None:
             return False
@@ -111,7 +111,7 @@ class AxisDiagnosis:
 
     @property
     def reasons(self) -> tuple[Message, ...]:
-        """Faults of the axis, each with its remedy, preceded by the axis' name."""
+        """Faults of the axis with remedies, preceded by its name."""
         found, begin = self.faults.reasons, f"{self.name}: " if self.name else ""
         if self.faults.as_declared:
             said = f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. "
@@ -147,22 +147,22 @@ class Diagnosis(Documented):
 
     @property
     def healthy(self) -> bool:
-        """True if no symptom spoils the answer; a parameter that is not identifiable is none."""
+        """True if no symptom makes the answer unreliable."""
         return not any(one.spoils for one in self.symptoms)
 
     @property
     def explained(self) -> bool:
-        """True if no axis' torque has a part that the model should have explained."""
+        """True if the model explains every axis's torque, without a common cause."""
         return self.cause is None and all(one.explained for one in self.axes)
 
     @property
     def as_declared(self) -> bool | None:
-        """True if all loops and logs are as declared, False if one is not; None if one cannot be tested."""
+        """Whether loops and logs are as declared; None if one is untested."""
         seen = [one.as_declared for one in self.axes]
         return False if False in seen else None if None in seen else True
 
     def name_faults(self, *, of_model: bool) -> tuple[Message, ...]:
-        """Return the findings on models, or on loops, logs and parts of the time, each with its axis."""
+        """Findings on models, or on loops, logs and record parts, by axis."""
         found = list[Message]()
         for axis in self.axes:
             named = zip(axis.faults.findings, axis.reasons, strict=False)
@@ -172,7 +172,7 @@ class Diagnosis(Documented):
 
     @property
     def _wrong_laws(self) -> tuple[Message, ...]:
-        """The declared controllers that do not make the logged torques, in one message; none without one."""
+        """Message on declared controllers that contradict the logged torques, if any."""
         names = [one.name for one in self.axes if one.law_holds is False]
         of = f" of {join(names)}" if any(names) else ""
         said = f"the declared controller{of} does not make the logged torque of the position"
@@ -197,7 +197,7 @@ class Diagnosis(Documented):
         return self.sentences[0] if self.sentences else f"Nothing is wrong with {self.name}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the symptoms, a table of the axes, what to do, and the comparisons of laws; there is no more."""
+        """Symptoms, a table of the axes, remedies and comparisons of laws."""
         del details
         said = tuple(sentence(str(one)) for one in self.symptoms)
         blocks: list[Block] = [Heading("What is wrong"), Listing(said)] if said[1:] else []
@@ -209,7 +209,7 @@ class Diagnosis(Documented):
         return Document(self.sentence, tuple(blocks))
 
     def _table(self) -> Table:
-        """Return the residuals of each axis' torque, by the model and by the controller along the logged position."""
+        """Residuals of each axis's torque, by model and by controller."""
         header = ("joint", "left, %", "white", "controller leaves, %", "any law, %")
         rows = []
         for one in self.axes:
@@ -222,7 +222,7 @@ class Diagnosis(Documented):
 def diagnose_joint(
     estimate: Estimate, record: Record, problem: ClosedLoopProblem, x: FloatArray, most: int = MOST
 ) -> Diagnosis:
-    """Diagnose the estimate of a joint by DIDIM from its solved problem, without what is beside the joint."""
+    """Diagnose a joint's DIDIM estimate from its solved problem."""
     std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     proved = problem.loop if law is not None and law.holds else None
@@ -237,9 +237,9 @@ def diagnose_joint(
 def diagnose_robot(
     estimate: Estimate, records: Sequence[Record], controllers: Sequence[Controller | None] = ()
 ) -> Diagnosis:
-    """Diagnose the estimate of a robot by any method, from its joints' records.
+    """Diagnose a robot's estimate by any method, from its joints' records.
 
-    Controllers are as declared, None where one is not known; without any they are those of the estimate's loop.
+    `controllers` are as declared, None for an unknown one; by default those of the estimate's loop.
     """
     part, method = estimate.require_robot(), estimate.settings.method
     robot, torques = part.model, torques_of_robot(estimate, records)
@@ -277,6 +277,6 @@ def diagnose_robot(
 
 
 def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
-    """Return an axis without the faults that a cause explains; how its controller reads the reference is none."""
+    """Drop faults that a cause explains, except other uses of the reference."""
     laws = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
     return replace(axis, faults=replace(axis.faults, findings=laws), caused=True)

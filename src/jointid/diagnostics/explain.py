@@ -1,4 +1,4 @@
-"""Search for the cause of a misfit between a record and the declared drive.
+"""Search for the cause of a misfit between record and declared drive.
 
 Sensitivities show small deviations of one number (`search`). For a large one, as a torque that is ten times too
 large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
@@ -110,7 +110,7 @@ class Causes:
 
     @property
     def found(self) -> bool:
-        """True if there is a cause to report, if only the nearest one."""
+        """True if there is a cause to report, even the nearest only."""
         return bool(self.explanations or self.nearest or self.plain)
 
     @property
@@ -148,7 +148,7 @@ def explain_misfit(
     findings: Sequence[Finding] | None,
     progress: Progress = ignore_progress,
 ) -> Causes | None:
-    """Return the causes of a misfit between an estimate and its record; None if it fits or no cause comes near.
+    """Find causes of a misfit; None without a misfit or near cause.
 
     A large misfit without a cause is reported as well, so that no other test is blamed for it.
 
@@ -179,14 +179,14 @@ def explain_misfit(
 
 
 def _is_poor_far_below(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
-    """Test whether even a rigid joint far below the resonance of a flexible one leaves much, however little is left."""
+    """Test whether a rigid fit far below the resonance is poor, too."""
     declared = Case(record, loop, estimate.settings.filtering)
     rigid = fit_rigid([declared]) if loop.joint.model == "flexible" else []
     return bool(rigid) and rigid[0].error >= _POOR_START
 
 
 def _is_gross(one: FaultTest, period: float) -> bool:
-    """Return whether a fault is too large for a sensitivity to be a guide."""
+    """Test whether a fault is too large for linear sensitivities."""
     if one.name in OTHER_LAWS:  # its size is a share of what another law changes
         return False
     if one.fault.measure == "ms":
@@ -200,7 +200,7 @@ def find_failure_causes(
     free: Sequence[str] = (),
     progress: Progress = ignore_progress,
 ) -> Causes | None:
-    """Return the causes of a failed identification, of a long record by a part of it; see `find_causes`.
+    """Causes of a failed identification, from a part of a long record.
 
     None without a loop, or where the search fails.
     """
@@ -219,7 +219,7 @@ def explain_failure(
     progress: Progress = ignore_progress,
     free: Sequence[str] = (),
 ) -> JointidError:
-    """Return the error of a failed identification, with its cause before it or in its place.
+    """Error of a failed identification, with or replaced by its cause.
 
     It is returned with the remarks on the record if no cause is found.
     """
@@ -246,14 +246,14 @@ def find_causes(
     progress: Progress = ignore_progress,
     free: Sequence[str] = (),
 ) -> Causes:
-    """Search for the cause of a misfit between a record and the declared drive.
+    """Search for the cause of a misfit between record and declared drive.
 
     Args:
         record: with all channels of the loop, of which none is constant.
         loop: as declared.
         estimate: of the joint under it, if there is one: its filter is used, and its error if smaller.
         progress: called with each step.
-        free: names of what is identified beside the joint, as the delay; that of the estimate where there is one.
+        free: names of free numbers outside the joint, as the delay; those of the estimate, if there is one.
     """
     left = math.inf if estimate is None else estimate.fit.filtered_error
     if (plain := find_plain_cause(record)) is not None:
@@ -296,10 +296,10 @@ def find_causes(
 
 
 def list_cases(declared: Case) -> list[Case]:
-    """Return the declared drive, and a case for every mistake that this record and controller can have.
+    """The declared drive, and a case for each possible mistake.
 
-    A torque that is computed from the controller has no mistakes of its own. Where the declared law makes the logged
-    torque of the logged motor position, a corrected law or log must make it, too.
+    A torque that is computed from the controller has no mistakes of its own. If the declared law reproduces the logged
+    torque from the logged motor position, a corrected law or log must, too.
     """
     record, loop = declared.record, declared.loop
     law, found = compare_law(record, loop), list[Case]()
@@ -321,7 +321,7 @@ def _is_excluded(corrected: Case, record: Record, loop: ClosedLoop) -> bool:
 
 
 def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:
-    """Return the causes with the smallest residuals; none if they explain too little.
+    """Causes with the smallest residuals; none if they explain too little.
 
     Small changes of a number are attributed to an unmodelled friction or to noise.
     """
@@ -338,7 +338,7 @@ def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tup
 
 
 def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
-    """Yield a reference that is the position of a rigid joint's motor, with its residual, unless it cannot be."""
+    """Yield the cause that the reference is the motor's position, if possible."""
     moved = replace(declared.record, motor_position=declared.record.reference)
     with contextlib.suppress(*_FAILS):
         left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
@@ -347,7 +347,7 @@ def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
 
 
 def _judge_mode(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
-    """Yield the mode of a record of a rigid joint, with its residual, if it shows one."""
+    """Yield a mode in the record of a rigid joint, if any."""
     flexible = replace(declared.loop, joint=joint.flexible)
     with contextlib.suppress(*_FAILS):  # the other causes stand
         found = identify_record(declared.record, flexible, DIDIM(free=declared.beside), declared.filtering)
@@ -362,7 +362,7 @@ def _judge_mode(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Solution of a case: problem with its number free, parameters, and residual share of the torque."""
+    """Solution of a case: problem, parameters, and residual share of the torque."""
 
     case: Case
     problem: ClosedLoopProblem
@@ -390,7 +390,7 @@ class Fit:
 def fit_cases(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
     """Fit the joint in each case, the best first.
 
-    What is not begun by `until`, in seconds of `time.process_time`, is left out, and descents end there.
+    Fits not begun by `until`, in s of `time.process_time`, are omitted, and descents end there.
     """
     fits = fit_rigid(tried, until)
     if tried[0].loop.joint.model == "rigid":
@@ -401,15 +401,15 @@ def fit_cases(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
 
 
 def fit_rigid(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
-    """Fit a rigid joint in each case, or a flexible one as rigid, far below its resonance; see `fit_cases`."""
+    """Fit each case with a rigid joint below resonance; see `fit_cases`."""
     loss = _ROUGHLY if tried[0].loop.joint.model == "flexible" else 0.0
     return _race([_list_rigid_starts(one) for one in tried], until, loss)
 
 
 def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> list[Fit]:
-    """Return the solutions of cases from their starts, the best first; one far behind the best is given up early.
+    """Solutions of the cases, best first; poor ones are dropped early.
 
-    One that is worse by less than the share `loss` is not given up.
+    Cases within the share `loss` of the best are kept.
     """
 
     def choose(own: Iterator[Fit]) -> list[Fit]:
@@ -430,7 +430,7 @@ def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> l
 
 
 def _list_rigid_starts(case: Case) -> Iterator[Fit]:
-    """Yield starts by the inverted controller, and by a motor that follows the reference exactly, at some delays."""
+    """Yield starts by the inverted controller or exact tracking, at some delays."""
     for problem in filter(None, (_pose(case, loop, low=True) for loop in case.loops)):
         starts = list[dict[str, float]]()
         with contextlib.suppress(JointidError):
@@ -442,7 +442,7 @@ def _list_rigid_starts(case: Case) -> Iterator[Fit]:
 
 
 def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
-    """Yield starts with modes, near the number of the rigid joint, which is approximate, and at a few others."""
+    """Yield starts with modes, near the rigid fit's number and at others."""
     case, values = rigid.case, rigid.problem.values(rigid.x)
     near = [values[case.free] * by for by in _NEAR] if case.free in case.numbers else []
     case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= _LOOPS else ())))
@@ -453,7 +453,7 @@ def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
 
 
 def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
-    """Yield a start with its residual share of the torque, at some delays where one is free and none declared."""
+    """Yield a start with its residual share, at several delays if free."""
     undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
     started = {p.name: p.start or 0.0 for p in problem.parameters if p.name == case.free}
     for late in ({DELAY: late} for late in DELAYS) if undeclared else ({},):
@@ -465,7 +465,7 @@ def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -
 
 
 def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
-    """Return the problem of a case with one of its loops, its number free within wide bounds; None if there is none."""
+    """Problem of a case with its number free, or None."""
     around = [one for one in case.beside if one in OF_LOG or one in numbers_of(loop.controller)]
     filtering = case.filtering
     if low and isinstance(loop.joint, FlexibleJoint):

@@ -1,4 +1,4 @@
-"""The verb `identify`: one record, several, or a log too long for memory in; an estimate and its checks out.
+"""`identify`: estimate and checks from one record, several, or a long log.
 
 What the record does not exclude widens the intervals: undeclared elements of the loop, and faults that were found or
 are suspected. An element is a filter of velocity or torque, or a delay. One of size s changes the torque by ``s c``. An
@@ -143,7 +143,7 @@ def identify(
 
 @one_thread()
 def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_progress) -> Estimate:
-    """Return an unchecked estimate of one record that has a torque with its checks, without a search."""
+    """Check an estimate of one record afterwards, without a search."""
     part, settings, x = estimate.robot, estimate.settings, estimate.x
     estimate = replace(estimate, checks=tuple(one for one in estimate.checks if one.words != UNCHECKED))
     if part is not None:
@@ -162,10 +162,10 @@ def _left_out(why: str) -> Checked:
 
 
 def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
-    """Return the results of the checks of a fit; none without a simulated loop, or for several records.
+    """Results of a fit's checks; none without simulated loop or single record.
 
-    What the record does not allow to check is left out, as the loop where a parameter is not identifiable. The verdict
-    on the loop states an exception, and a cause that explains a misfit: sensitivities mislead then.
+    Checks that the record does not allow are left out, as of the loop if a parameter is not identifiable. The verdict
+    on the loop states an exception, or the cause of a misfit, for which sensitivities are misleading.
     """
     try:
         if fit.robot is not None:
@@ -222,7 +222,7 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
 
 
 def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
-    """Return the shifts of parameters by faults and by undeclared elements that are not excluded."""
+    """Shifts of parameters by possible faults and undeclared elements."""
     rows = {row.name: row for row in fit.rows}
     wider = [] if fit.robot is not None else list(widen_for_faults(found.axes[0].faults, rows))
     with contextlib.suppress(*_OF_RECORD):
@@ -231,7 +231,7 @@ def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
 
 
 def check_without_joint(record: Record, loop: ClosedLoop) -> Check:
-    """Return the check of a loop whose joint is not fully identified: that of the motor position, where logged."""
+    """Check the loop of a partly identified joint, by the motor position."""
     law = compare_law(record, loop)
     if law is None:
         return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
@@ -239,7 +239,7 @@ def check_without_joint(record: Record, loop: ClosedLoop) -> Check:
 
 
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Checked:
-    """Return the checks of a robot's fit: the controllers that it simulated, and the residual of each joint."""
+    """Check a robot's fit: simulated controllers, and the residual of each joint."""
     if len(fit.records) != len(part.model):
         return _left_out("not checked: several records were identified in one fit")
     progress("checking controllers and torques")
@@ -273,7 +273,7 @@ _USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the co
 
 
 class Element(NamedTuple):
-    """An element that a controller does not declare: half its largest usual size, s, and the controller with it."""
+    """An undeclared element: half its usual size, s, and controller with it."""
 
     fault: Fault
     half: float
@@ -282,7 +282,7 @@ class Element(NamedTuple):
 
 
 def list_undeclared(controller: Any, sample_time: float, axis: int = 0) -> Iterator[Element]:
-    """Yield each usual element that a controller does not declare; `sample_time` is that of the log, s."""
+    """Yield usual elements that a controller does not declare; `sample_time` in s."""
     if getattr(controller, "undeclared", "none") == "none":
         return
     period = controller.period or sample_time
@@ -331,7 +331,7 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
 
 
 def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> Sequence[FloatArray]:
-    """Return the changes of the filtered torques along a run by each element, (n, rows), to first order."""
+    """First-order changes of filtered torques along a run, by element, (n, rows)."""
     each = run.experiment.axes
     others = [(one.axis, replace(each[one.axis], law=each[one.axis].law_of(one.controller))) for one in tried]
     found, direct = respond_to_laws(run, others)
@@ -343,7 +343,7 @@ def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> Sequence[Float
 
 
 def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) -> float:
-    """Return the largest size of an element, s, within two deviations of what its axis' residual shows."""
+    """Largest size of an element, s, within two deviations of its estimate."""
     axis, own = element.axis, torques.own[element.axis]
     signature = FaultSignature(replace(element.fault, one_sided=True), change[axis] / element.half)
     (test,) = score(
@@ -354,10 +354,10 @@ def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) ->
 
 
 def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
-    """Yield the shifts of parameters by the faults that a check found or suspects.
+    """Yield parameter shifts by faults that a check found or suspects.
 
-    Faults of loop and log that move a parameter by more than a thousandth widen no interval: they are corrected, or
-    not. Where they are excluded, the joint has what looks like them.
+    Faults of loop and log that move a parameter by more than a thousandth widen no interval: either they are
+    corrected, or the joint itself has the same effect.
 
     Args:
         check: of loop and log.
@@ -380,7 +380,7 @@ def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) 
 
 
 def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedParameter], remedy: str) -> Widening:
-    """Return the shifts of parameters, each as one deviation, and the sentence on those that are large."""
+    """Parameter shifts as one deviation each, and a sentence on large ones."""
     off = [
         f"{row.symbol} by {number(2 * by[name], 2)} {row.unit}".rstrip()
         for name, row in rows.items()

@@ -84,7 +84,7 @@ class JudgedLaw:
 
     @property
     def predicts_as_well(self) -> bool:
-        """True if the held-out parts do not distinguish it from the best law."""
+        """True if held-out parts do not distinguish it from the best law."""
         return self.worse <= max(_ERRORS * self.error, _HARDLY)
 
 
@@ -109,12 +109,12 @@ class LawComparison(Documented):
 
     @property
     def shown(self) -> JudgedLaw:
-        """The law that the record shows: the simplest of those that predict it as well as any."""
+        """Simplest law that predicts the record as well as any."""
         return next(one for one in self.laws if one.predicts_as_well)
 
     @property
     def answer(self) -> Message:
-        """The chosen law, and the key to declare: as declared, another of its kind, or no spring."""
+        """The chosen law, and the key to declare it."""
         found = self.shown
         left = f"leaves {number(100 * found.kept, 3)} % of the torque where it was not fitted"
         code, words = "as_declared", f"{found.name} {self.kind}, {found.words}: it {left}"
@@ -131,7 +131,7 @@ class LawComparison(Documented):
         return f"{self.answer}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the answer and the table of laws; there are no further details."""
+        """Answer and table of laws; there are no further details."""
         del details
         rows = []
         for one in self.laws:
@@ -145,10 +145,10 @@ class LawComparison(Documented):
 
 
 def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
-    """Return the part, counted from 0, of each row of the residual, (rows,).
+    """Part index, from 0, of each residual row, (rows,).
 
-    Half of the cut is by time, half by how much the torque changes: parts of equal length would hold most of the motion
-    in a few of them if an axis rests. There are fewer parts if all changes are within a few rows.
+    Time has half of the weight, the change of the torque the other half: of parts of equal length a few would hold most
+    of the motion if an axis rests. There are fewer parts if all changes are within a few rows.
 
     Raises:
         MethodError: there are too few rows.
@@ -164,10 +164,10 @@ def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
 
 
 def predict_held_out(error: FloatArray, slopes: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
-    """Return the error of a fit, (rows,), each part by the linear fit without it.
+    """Errors of a fit, (rows,), each part predicted without it.
 
     Args:
-        error: (rows,) that a fit to all rows leaves.
+        error: (rows,) residual of a fit to all rows.
         slopes: (rows, parameters) its derivatives.
         parts: (rows,) see `cut`.
     """
@@ -180,7 +180,7 @@ def predict_held_out(error: FloatArray, slopes: FloatArray, parts: NDArray[np.in
 
 
 def judge(solved: Solved, law: Spring | Friction | None) -> JudgedLaw:
-    """Return an identified law, None for a rigid joint, with its squared error in the parts that were held out.
+    """Identified law (None: rigid), with squared errors on held-out parts.
 
     Raises:
         MethodError: there are too few rows.
@@ -229,7 +229,7 @@ def compare_laws(
     didim: DIDIM | None,
     progress: Progress,
 ) -> LawComparison:
-    """Identify a joint, a flexible one where springs are compared, with every law of its spring or friction.
+    """Identify a joint with every law of its spring or friction.
 
     Raises:
         MethodError: the simplest law is not identified.
@@ -271,7 +271,7 @@ def compare_laws(
 
 
 def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:
-    """Return the parameters of a law, of friction on both sides of a joint or of its one inertia."""
+    """Parameters of a law; friction has those of each side."""
     if law is None or isinstance(law, Spring):
         return () if law is None else law.parameters
     sides = (("motor_", "1"), ("load_", "2")) if joint.model == "flexible" else (("", ""),)
