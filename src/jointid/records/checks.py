@@ -1,4 +1,4 @@
-"""Check a record for faults, and warn of limitations."""
+"""Checks of a record for faults and limitations."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
 from jointid.records.signals.filtering import lowpass
 
-_LIMIT_SHARE = 0.5  # of the samples may stand at the torque limit, which every simulation of the loop has, too
+_LIMIT_SHARE = 0.5  # largest share of samples at the torque limit, which simulations of the loop have, too
 # Share of the samples that may exceed the limit: peaks of a signal declared to be injected after it. The public
 # EMPS record with pulses has 14 of 24,841: its pulses pass the limit, though its report adds them after it.
 _EXCESS_SHARE = 1e-3
 _AT_LIMIT = 1e-3  # as a share of the limit, the distance that counts as at it: the resolution of a ten-bit log
-# Speed that no servo-driven joint keeps up: ten times that of a fast linear motor, and 950,000 rpm; it is judged by
-# what a share of the samples exceeds, since a step in the reference is no high speed.
+# Impossible speed of a servo-driven joint: ten times that of a fast linear motor, and 950,000 rpm. A share of the
+# samples must exceed it, since a step in the reference is no high speed.
 _FASTEST, _SHARE_OF_FAST_SAMPLES = {"m": 50.0, "rad": 1e5}, 0.01
-_FOLLOWS = 0.95  # correlation from which one signal is taken to follow another, so that their ratio means something
+_FOLLOWS = 0.95  # smallest correlation of two signals whose ratio is meaningful
 _RATIO_BAND = (0.5, 2.0)  # of motor position to reference, that a controller can explain; outside, one is mis-scaled
-_DROOP = 0.1  # times its reference, that a servo without an integral moves against gravity; less is a wrong unit
-_BY_DEVIATION = 0.995  # of the torque's variance, that the deviation from the reference and its rate explain there
-_BETTER = 0.5  # of the rest that the reference and its rate leave: less is evidence for the deviation
+_DROOP = 0.1  # smallest motion over reference of a servo without integral under gravity; less is a wrong unit
+_BY_DEVIATION = 0.995  # share of the torque's variance that the deviation from the reference and its rate explain
+_BETTER = 0.5  # largest ratio of its residual to that of reference and rate, as evidence for the deviation
 _RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor within which that unit is named
 _SLOWEST_SAMPLE = 0.1  # s: below 10 samples a second
-_BEYOND = 3.0  # times the range of the model's limits, that a position may travel
-_GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
-_LATE = 0.9  # of the encoders' difference, that a lag may be: of motorbench it is 0.3 %, of the paper's twin 41 %
-_GRAIN = 1e-12  # of the travel: what is nearer than this is one value that was computed twice
-_MULTIPLE = 0.05  # of a step: how far a position may be from a multiple of it
-_MOSTLY = 0.95  # of the positions that are such multiples
-_PARTS = 5  # steps that the smallest gap may be: an axis that never rests may skip some
-_SLOW = 0.04  # of the sampling frequency: where a joint moves, and noise does not
+_BEYOND = 3.0  # largest travel of a position, in ranges of the model's limits
+_GEAR_TOLERANCE = 0.02  # likewise for a gear ratio
+_LATE = 0.9  # largest share of a lag in the encoders' difference: 0.3 % in motorbench, 41 % in the paper's twin
+_GRAIN = 1e-12  # of the travel: closer values differ by rounding only
+_MULTIPLE = 0.05  # of a step: tolerance of its multiples
+_MOSTLY = 0.95  # share of the positions that are such multiples
+_PARTS = 5  # most steps in the smallest gap: an axis that never rests may skip some
+_SLOW = 0.04  # of the sampling frequency: below are the motions of a joint, above is noise
 _FEWEST_SAMPLES = 100
-# Ranges of a channel's largest number, in SI, and of its sample time: wider than any sensor's, and far from where a sum
-# of their squares ends.
+# Ranges of a channel's largest number, in SI, and of its sample time: wider than any sensor's, while sums of squares
+# do not overflow.
 _NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
 
 
@@ -47,12 +47,12 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
     """Check that a record matches its declaration and allows identification.
 
     Args:
-        record: what was logged.
+        record: the logged signals.
         limit: the controller's torque limit, in the record's unit; None skips the check.
         side: transmission side of the record's torque and the limit; None without a transmission.
     """
     faults = [f for name, c in record.items() for f in finite_faults(name, c.values)]
-    if not faults:  # of numbers that are none, nothing more can be said
+    if not faults:  # the other checks need finite numbers
         faults += [*scale_faults(record), *still_faults(record), *_rate_faults(record)]
         faults += [] if limit is None else limit_faults(record, limit, side)
     if faults:
@@ -60,11 +60,11 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
 
 
 def range_faults(position: Channel, limits: tuple[float, float]) -> Iterator[str]:
-    """Yield the fault of a position that travels far outside the limits of its joint.
+    """Yield the fault of a position far outside its joint's limits.
 
     Args:
         position: of the joint, behind its gear.
-        limits: of the joint as its model states them, in the position's unit.
+        limits: of the joint's model, in the position's unit.
     """
     travel, room = float(np.ptp(position.values)), limits[1] - limits[0]
     if travel > _BEYOND * room > 0:
@@ -75,7 +75,7 @@ def range_faults(position: Channel, limits: tuple[float, float]) -> Iterator[str
 
 
 def _rate_faults(record: Record) -> Iterator[str]:
-    """Yield the fault of a rate at which nothing of a joint's dynamics is seen."""
+    """Yield the fault of a sample rate too low for joint dynamics."""
     judged = record.torque or record.motor_position
     if judged is not None and (period := judged.sample_time) > _SLOWEST_SAMPLE:
         yield (
@@ -123,13 +123,13 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> Itera
         )
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a wrong column can hold any number, the largest too
+@np.errstate(over="ignore", invalid="ignore")  # a wrong column may hold any number
 def scale_faults(record: Record) -> list[str]:
     """Faults of signals with an implausible unit, sign or side."""
     reference, motor, velocity = record.reference, record.motor_position, record.reference_velocity
     faults = [fault for name, channel in record.items() for fault in _magnitude_faults(name, channel)]
     if faults:
-        return faults  # products of such numbers are endless, or nothing
+        return faults  # products of such numbers overflow or underflow
     for name, position in (("reference", reference), ("motor_position", motor)):
         faults += [] if position is None else _size_faults(name, position)
     if reference is not None and motor is not None and not _droops(record.torque, reference, motor):
@@ -162,7 +162,7 @@ def _size_faults(name: str, position: Channel) -> Iterator[str]:
 
 
 def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
-    """Whether a load pulls a servo without an integral off its reference: its torque is of the deviation alone."""
+    """Test whether load torque pulls a servo without integral off its reference."""
     if torque is None or len(torque) < _FEWEST_SAMPLES or np.ptp(torque.values) == 0:
         return False
     asked, is_ = (np.interp(torque.time, one.time, one.values) for one in (reference, motor))
@@ -181,7 +181,7 @@ def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
 
 
 def _is_plain_ratio(ratio: float, declared: str) -> bool:
-    """Return True for the ratio of a unit, or of a gear with a whole number."""
+    """Test for the ratio of a unit, or of an integer gear."""
     alike = map(unit, units_of(unit(declared).dimension))
     units = (factor for one in alike for factor in (one.factor, 1 / one.factor))
     return abs(ratio * round(1 / ratio) - 1) < _GEAR_TOLERANCE or any(
@@ -208,7 +208,7 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) 
 
 
 def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str, ...]:
-    """Warnings on the channels of a record, one sentence each: a torque refreshed every n samples is n / 2 late."""
+    """Return warnings on the channels of a record, one sentence each."""
     notes, torque = [*record.remarks], record.torque
     if torque is not None and "torque" in channels and (every := update_interval(torque.values)) > 1:
         notes.append(
@@ -219,7 +219,7 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
 
 
 def find_encoder_lag(record: Record) -> tuple[str, float] | None:
-    """Return the late encoder and its lag [s] where the lag hides the deflection of the spring."""
+    """Return the late encoder and its lag [s]; None if negligible."""
     motor, load = record.motor_position, record.load_position
     if motor is None or load is None or len(motor) < _FEWEST_SAMPLES:
         return None
@@ -236,7 +236,7 @@ def find_encoder_lag(record: Record) -> tuple[str, float] | None:
 
 
 def find_encoder_step(channel: Channel | None) -> float | None:
-    """Return the step, in its unit, of which a channel's values and smallest gap are multiples; None without one."""
+    """Return the quantisation step of a channel in its unit, or None."""
     if channel is None:
         return None
     values = np.sort(channel.values) - channel.values.min()

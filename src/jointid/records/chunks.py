@@ -1,4 +1,4 @@
-"""Read long records in overlapping chunks, so that filters and simulations settle."""
+"""Long records in overlapping chunks, in which filters and simulations settle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jointid.records.formats.table import join_tables
 from jointid.records.reading import RecordReader
 from jointid.records.record import Record
 
-_LOOK = 1000  # rows that tell the sample time
+_LOOK = 1000  # rows that determine the sample time
 _ONE_CLOCK = "has one uniform clock; log all channels at one rate, and leave resample, start, stop and part out"
 
 
@@ -27,8 +27,8 @@ class Chunk:
 
     Attributes:
         number: of the chunk, from 0.
-        record: what it holds; its `begin` is where it stood, in seconds from the first sample of all.
-        last: True if no other follows.
+        record: its samples; `begin` is in seconds from the first sample of the log.
+        last: True for the last chunk.
     """
 
     number: int
@@ -41,12 +41,12 @@ class Log:
     """A record in a file, read on demand.
 
     Attributes:
-        path: the file, of a format that has rows one after the other; MAT files of version 7 and ROS 2 bags have not.
+        path: the file, of a format with consecutive rows; MAT files of version 7 and ROS 2 bags have none.
         columns, settings: see `jointid.records.reading`. All channels have one sample time.
         options: of the format's reader.
 
     Raises:
-        RecordError: a column has a sample time or a time column of its own, or is to be resampled.
+        RecordError: a column has a separate sample time or time column, or resampling is set.
 
     Example:
         >>> from jointid.records.chunks import Log
@@ -73,7 +73,7 @@ class Log:
 
     @property
     def sample_time(self) -> float:
-        """Of every channel, in seconds, as the first rows have it."""
+        """Sample time of all channels, from the first rows [s]."""
         for _, table, _ in self._tables(_LOOK, 0):
             return _require_one_rate(self._reader.build_record(table, self.name))
         raise RecordError(f"{Path(self.path).name} holds no sample; log or copy it again.")
@@ -84,7 +84,7 @@ class Log:
         A remainder shorter than the overlap belongs to the chunk before it.
 
         Args:
-            length: samples between the beginnings of chunks.
+            length: samples between the starts of chunks.
             overlap: further samples, `length` at most.
         """
         reader, sample_time, zero = self._reader, self.sample_time, 0.0
@@ -122,18 +122,18 @@ class Log:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InMemory:
-    """A record in memory, read in chunks."""
+    """A record in memory, to be read in chunks."""
 
     record: Record
 
     @property
     def name(self) -> str:
-        """Of the record."""
+        """Name of the record."""
         return self.record.name
 
     @property
     def sample_time(self) -> float:
-        """Of its channels."""
+        """Sample time of the channels [s]."""
         return _require_one_rate(self.record)
 
     def chunks(self, length: int, overlap: int) -> Iterator[Chunk]:
@@ -150,10 +150,10 @@ LongRecord: TypeAlias = Log | InMemory
 
 
 def begin_together(records: Sequence[Record]) -> tuple[Record, ...]:
-    """Return the records of one log from the latest of their beginnings on, within half a sample.
+    """Cut records of one log to their latest beginning.
 
     Raises:
-        RecordError: they cover no time together, or the channels of one have rates by which they are not cut there.
+        RecordError: they do not overlap, or a channel has no sample near that beginning.
     """
     latest, made = max(record.begin for record in records), list[Record]()
     for record in records:
@@ -180,7 +180,7 @@ def _require_one_rate(record: Record) -> float:
 
 
 def cut(record: Record, first: int, end: int) -> Record:
-    """Return some samples of a record, whose channels have one rate."""
+    """Return a range of samples of a record with one sample rate."""
     begin = record.begin + first * _require_one_rate(record)
     parts = {name: replace(channel, values=channel.values[first:end]) for name, channel in record.items()}
     return replace(record.with_channels(parts), begin=begin)

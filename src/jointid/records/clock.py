@@ -1,4 +1,4 @@
-"""Clocks of a table: stamps, sample time, and deviation of the stamps from a uniform clock."""
+"""Clocks of a table: stamps, sample time and jitter."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from jointid.records.record import Spans
 
 # Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 _RATE_TOLERANCE = 1e-3
-_LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
-# Of the sample time, by which a step may be off without being jitter: well below the half sample by which a held and an
+_LATEST = 1e30  # largest time stamp in any unit; the square of a larger step overflows
+# Tolerated deviation of a step, as a share of the sample time: well below the half sample by which a held and an
 # averaged torque differ, and well above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a
 # microsecond at 10 kHz (1 %).
 CLOCK_TOLERANCE = 0.05
-_JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
-_LISTED = 8  # parts between jumps, at most, that are listed
-_GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
+_JUMP = 0.5  # sample times: a step with a larger deviation is a jump, with samples missing or doubled
+_LISTED = 8  # most parts between jumps that are listed
+_GAP = 1.75  # sample times: a longer step skips samples (two stamps 30 % early and late are 1.6 apart)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,11 +35,11 @@ class Clock:
     """The stamps of a channel.
 
     Attributes:
-        sample_time: mean time between them [s].
+        sample_time: mean step [s].
         stamps: (samples,) [s].
         column: name of the time column; empty if there is none.
         jitter: largest deviation of a step from the sample time, as a share of it; 0 within the tolerance.
-        first: instant of the first row of the file [s].
+        first: stamp of the file's first row [s].
     """
 
     sample_time: float
@@ -49,7 +49,7 @@ class Clock:
     first: float = 0.0
 
     def straightened(self) -> FloatArray:
-        """Return the straight line through the stamps [s], (samples,)."""
+        """Return the least-squares line through the stamps [s], (samples,)."""
         times, centred = self.stamps - self.stamps[0], np.arange(self.stamps.size) - 0.5 * (self.stamps.size - 1)
         slope = float(centred @ times / (float(centred @ centred) or 1.0))
         return np.asarray(float(self.stamps[0]) + float(np.mean(times)) + slope * centred)
@@ -58,13 +58,13 @@ class Clock:
 def find_stamps(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None
 ) -> tuple[str, FloatArray]:
-    """Return the name of a table's time column, empty without one, and the instants of its rows [s].
+    """Return a table's time column, empty if none, and its stamps [s].
 
     Args:
         table: of the samples.
         time: name of the time column; None takes the only one called t or time.
-        time_unit: None takes the unit in the name, or else s.
-        sample_time: seconds; without `time` it alone counts.
+        time_unit: None takes the unit in the name, or s.
+        sample_time: seconds; it defines the clock if `time` is None.
 
     Raises:
         RecordError: there is no clock, or its unit is unknown.
@@ -81,18 +81,18 @@ def find_stamps(
         )
     (column,) = names
     stamps = table.columns[column] * seconds_of(table, column, time_unit)
-    # The nanoseconds beside a column of whole seconds begin again with each of them.
+    # A column of nanoseconds beside one of whole seconds restarts every second.
     return column, np.unwrap(stamps, period=1.0) if np.all((stamps >= 0.0) & (stamps < 1.0)) else stamps
 
 
 def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, resampled: bool = False) -> Clock:
-    """Return the clock of stamps.
+    """Check stamps and return their clock.
 
     Args:
         column: name of the time column; empty where the stamps are multiples of `sample_time`.
         stamps: (samples,) [s].
-        sample_time: as stated [s].
-        resampled: whether the samples are resampled, so that the stamps may jump.
+        sample_time: declared one [s], if any.
+        resampled: whether the samples are to be resampled, so that stamps may jump.
 
     Raises:
         RecordError: the stamps run backward, repeat, jump, or contradict the sample time.
@@ -106,7 +106,7 @@ def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, res
     if resampled or jitter:
         period = fit_line(stamps)[0]
     elif np.array_equal(stamps[0] + np.arange(stamps.size) * first, stamps):
-        period = first  # stamps that were computed give their sample time back to the last bit
+        period = first  # computed stamps reproduce their sample time exactly
     else:  # the mean over the record is better than any one step; its thirteenth digit is rounding
         period = float(f"{(stamps[-1] - stamps[0]) / count:.12g}")
     if sample_time is not None and not is_same_rate(sample_time, period):
@@ -118,10 +118,10 @@ def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, res
 
 
 def seconds_of(table: Table, column: str, time_unit: str | None) -> float:
-    """Return the seconds of a time column's unit: as given, else known in its name or of the file, else as stated.
+    """Return the factor from a time column's unit to seconds.
 
     Raises:
-        RecordError: the unit is unknown, or contradicts the one in the column's name.
+        RecordError: the unit (given, in the name, of the file) is unknown, or contradicts the one in the name.
     """
     known = units.units_of("time")
     named, stated = unit_in_name(column, known), units.normalise_unit(table.units.get(column, ""))
@@ -134,7 +134,7 @@ def seconds_of(table: Table, column: str, time_unit: str | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """The rows of a table to read: from `start` to `stop` of the log's own clock [s], of these a part between jumps."""
+    """Rows to read, by the log's clock [s] and part between jumps."""
 
     start: float | None = None
     stop: float | None = None
@@ -145,10 +145,10 @@ class Cut:
         require_spans(self.leave_out)
 
     def find_rows(self, times: FloatArray, clock: str) -> NDArray[np.bool_]:
-        """Return which of the rows of a clock [s] are read, (samples,).
+        """Return the rows to read, (samples,).
 
         Raises:
-            RecordError: fewer than two are, there is no such part, or nothing is there to be left out.
+            RecordError: fewer than two remain, the part does not exist, or a span is outside the clock.
         """
         first = -math.inf if self.start is None else self.start
         last = math.inf if self.stop is None else self.stop
@@ -174,14 +174,14 @@ class Cut:
 
 
 def require_spans(spans: Spans) -> None:
-    """Refuse parts of the time that are empty, reversed or overlap."""
+    """Refuse empty, reversed or overlapping time spans."""
     if not all(a < b for a, b in spans) or not all(one[1] <= other[0] for one, other in pairwise(spans)):
         said = [list(span) for span in spans]
         raise RecordError(f"{said} are no parts of a time; expected [begin, end] of each, one after the other.")
 
 
 def _find_parts(stamps: FloatArray) -> list[tuple[int, int]]:
-    """First sample and end of each part between the jumps of stamps (samples,)."""
+    """First sample and end of each part between jumps of stamps."""
     steps = np.diff(stamps)
     typical = float(np.median(steps[steps > 0])) if np.any(steps > 0) else math.inf
     jumps = np.flatnonzero(np.abs(steps / typical - 1) > _JUMP) + 1
@@ -194,9 +194,9 @@ def is_same_rate(sample_time: float, other: float) -> bool:
 
 
 def fit_line(stamps: FloatArray) -> tuple[float, FloatArray, NDArray[np.int64]]:
-    """Return the sample time of stamps [s], (samples,), their deviations, and the samples left out by each step.
+    """Fit a uniform clock to stamps [s], (samples,).
 
-    Repeated stamps do not count as samples, backward ones do.
+    Returns the sample time, the deviations, and skipped samples of each step. Repeated stamps are not counted.
     """
     steps = np.diff(stamps)
     forward = steps[steps > 0]
@@ -210,9 +210,9 @@ def fit_line(stamps: FloatArray) -> tuple[float, FloatArray, NDArray[np.int64]]:
 
 @np.errstate(all="ignore")
 def _require_forward(stamps: FloatArray, name: str, *, jumps: bool) -> None:
-    """Refuse stamps [s], (samples,), that repeat, run backward or jump, if they may not.
+    """Refuse stamps [s], (samples,), that do not run forward.
 
-    The sample time is the median step. A step off by more than half a sample time is a jump.
+    The sample time is the median step. A deviation above half a sample time is a jump, allowed if `jumps`.
     """
     steps = np.diff(stamps)
     forward, largest = steps[steps > 0], float(np.max(np.abs(stamps), initial=0.0))

@@ -1,4 +1,4 @@
-"""Table columns for the channels of a record: name, unit, gain and sign."""
+"""Columns of a table for a record's channels: unit, gain and sign."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from jointid.common.text import pluralise
 from jointid.common.transmission import Side
 from jointid.records.record import InjectionPoint, Tap, Timing
 
-_FEWEST_MOVES = 3  # steps beside the jumps of a wrap
-_SAFE_STEP = 0.4  # of a wrap in one sample: from a half on, forwards and backwards cannot be distinguished
-_BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
+_FEWEST_MOVES = 3  # fewest steps other than jumps
+_SAFE_STEP = 0.4  # largest step as a share of the wrap: from a half on, its direction is ambiguous
+_BEYOND_WRAP = 1e-2  # tolerated excess of the range over the wrap, relative
 _WHOLE_RANGE = 0.6  # of the range of a column: a larger step may be a wrap
-_ALIKE = 0.02  # of a wrap, that the jumps at it may differ by
-_AGAINST = 0.8  # of the jumps at a wrap, that go against a steady motion
-_KNOWN_WRAP, _PART_OF_TURN = 2e-3, 1e-4  # greatest relative distance of a jump from the wrap that it is taken for
-_WORDS = (2.0**8, 2.0**11, 2.0**16, 2.0**32)  # of logged whole numbers; a load of ten bits has its sign in the next
+_ALIKE = 0.02  # largest spread of the jumps, as a share of the wrap
+_AGAINST = 0.8  # smallest share of the jumps that oppose a steady motion
+_KNOWN_WRAP, _PART_OF_TURN = 2e-3, 1e-4  # largest relative distance of a jump from a known wrap
+_WORDS = (2.0**8, 2.0**11, 2.0**16, 2.0**32)  # ranges of logged integers; a ten-bit load has its sign in bit 11
 POSITIONS = ("motor_position", "load_position", "reference")
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
@@ -34,8 +34,8 @@ class Column:
     """A file column for one channel: `sign` x `gain` x column, in `unit`.
 
     Raises:
-        RecordError: gain, sample_time or wrap is not positive and finite, sign is not 1 or -1, or there is no such
-            side.
+        RecordError: gain, sample_time or wrap is not positive and finite, sign is not 1 or -1, or the side is
+            unknown.
     """
 
     column: str = setting(
@@ -94,28 +94,28 @@ class Column:
 
     def stated_unit(self, known: tuple[str, ...]) -> str | None:
         """Unit stated here or in the column's name, if any."""
-        # A gain takes the values from the unit in the name to another one.
+        # A gain converts the values from the unit in the name to another one.
         if self.unit is not None:
             return self.unit if self.unit in known else units.normalise_unit(self.unit)
         return None if self.gain != 1 else unit_in_name(self.column, known)
 
     def doubled_unit(self, known: tuple[str, ...]) -> str | None:
-        """Unit in the column's name that contradicts the declared one without a gain."""
+        """Unit in the column's name that contradicts the declared one, or None."""
         named = None if self.unit is None or self.gain != 1 else unit_in_name(self.column, known)
         return named if named in known and named != self.stated_unit(known) else None
 
 
 def as_columns(given: Mapping[str, str | Column]) -> dict[str, Column]:
-    """Return the column of each channel, of which the name alone may be given."""
+    """Convert column names to `Column` objects, by channel."""
     return {channel: Column(one) if isinstance(one, str) else one for channel, one in given.items()}
 
 
 def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
-    """Unit at the end of a column's name; unknown ones only in square brackets."""
+    """Unit at the end of a column's name; unknown ones in brackets."""
     match = _IN_BRACKETS.search(column)
     if match is None or match[1].isdigit():  # "phi[0]" is an element
         return None
-    # "q [clicks]" is to be refused, not to be read as metres; "q (filtered)" has a remark.
+    # "q [clicks]" is refused, not read as metres; "(filtered)" in "q (filtered)" is a remark.
     said = match[1] if match[1] in known else units.normalise_unit(match[1])
     return (said or None) if said in known or column.rstrip().endswith("]") else None
 
@@ -134,7 +134,7 @@ def known_units(channel: str, kind: str) -> tuple[str, ...]:
 
 
 def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> str:
-    """Unit of a channel's values: as stated, the torque's for injections, or SI."""
+    """Unit of a channel's values: stated, the torque's for injections, or SI."""
     known = known_units(channel, kind)
     default = known[0]
     if channel == "injected" and "torque" in columns:
@@ -144,7 +144,7 @@ def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> st
 
 
 def finite_faults(name: str, values: FloatArray) -> list[str]:
-    """Fault of values (samples,) that are not finite; they have a name in sentences."""
+    """Return the fault of non-finite values, (samples,), if any; `name` is theirs."""
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size == 0:
         return []
@@ -157,21 +157,21 @@ def finite_faults(name: str, values: FloatArray) -> list[str]:
 
 
 def find_wrap(values: FloatArray, turn: float) -> tuple[float, bool] | None:
-    """Find the wrap of a column of a position (samples,); None without jumps that are one for certain.
+    """Find the wrap of a position column, (samples,); None without clear jumps.
 
-    At a wrap a step goes by nearly the whole range, against the motion before and after it. With that motion v it is
-    as large as the wrap: W = |d - v|. A square wave rests where it jumps.
+    At a wrap a step d spans nearly the whole range, against the motion v before and after it: W = |d - v|. A square
+    wave is excluded, since it rests between jumps.
 
     Args:
         values: of the column, finite.
-        turn: what one turn is in the column.
+        turn: one turn in the column's unit.
 
     Returns:
-        The wrap, and whether it is a turn, turns or a part of one, or a power of two.
+        The wrap, and whether it is a multiple or fraction of a turn, or a power of two.
     """
     with np.errstate(over="ignore"):
         steps, span = np.diff(values), float(np.ptp(values))
-    steps = steps[steps != 0]  # a column that is refreshed slowly rests between
+    steps = steps[steps != 0]  # a slowly refreshed column repeats its values
     jumps = np.abs(steps) > _WHOLE_RANGE * span
     if not (np.isfinite(span) and jumps.any() and np.count_nonzero(~jumps) > _FEWEST_MOVES):
         return None
@@ -180,7 +180,7 @@ def find_wrap(values: FloatArray, turn: float) -> tuple[float, bool] | None:
     before, behind = steps[others[after - 1]], steps[others[after]]
     way = -np.sign(steps[at])
     against = (way * before > 0) & (way * behind > 0)
-    # Noise at the edge jumps there and back, which says nothing of the motion.
+    # Noise at the edge jumps back and forth, independent of the motion.
     lone = np.diff(at, prepend=-2, append=steps.size + 2).clip(max=2)
     lone = (lone[:-1] > 1) & (lone[1:] > 1)
     if np.count_nonzero(against & lone) <= _AGAINST * np.count_nonzero(lone):
@@ -201,9 +201,9 @@ def find_wrap(values: FloatArray, turn: float) -> tuple[float, bool] | None:
 
 
 def restore_sign(values: FloatArray) -> FloatArray | None:
-    """Return whole numbers that were read without their sign, (samples,), with it; None of others.
+    """Restore the sign of unsigned whole numbers, (samples,), or return None.
 
-    A negative number is 2^n larger as an unsigned word, or where a bit of its own has the sign: it jumps at 0.
+    A negative number was read as an unsigned word, 2^n larger, or has a sign bit: it jumps at 0.
     """
     whole = np.all(values >= 0) and np.all(values == np.round(values))
     found, fastest = None, _SAFE_STEP * float(np.max(np.abs(np.diff(values)), initial=0.0))

@@ -1,4 +1,4 @@
-"""Inspect a file: size, unit, clock and range of each channel, and the profile that knows its columns."""
+"""Inspect a file: size, unit, clock, range and drive profile."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from jointid.records.formats import format_of, read_table
 from jointid.records.formats.table import STAMP_NAME
 from jointid.records.record import CHANNELS
 
-_LAST = "generic"  # whose names others have too
-_PLAIN = re.compile(r"(?:.*[./])?(?:q|tau)_?\d*\s*(?:[\[(].*)?", re.IGNORECASE)  # names of any log
+_LAST = "generic"  # tried last: other profiles have its names, too
+_PLAIN = re.compile(r"(?:.*[./])?(?:q|tau)_?\d*\s*(?:[\[(].*)?", re.IGNORECASE)  # names common to all logs
 _MOST = 64  # axes of a log
 
 
@@ -30,7 +30,7 @@ class LoggedAxis:
     """An axis of a log.
 
     Attributes:
-        place: its number or its name, as the profile's names have it; empty of a log of one axis.
+        place: its number or name in the profile's column names; empty for a single axis.
         channels: column of each channel.
     """
 
@@ -40,17 +40,17 @@ class LoggedAxis:
 
     @property
     def name(self) -> str:
-        """Name of the joint, or one made of its number."""
+        """Name of the joint, or a default with its number."""
         return str(self.place.get("joint", f"joint{self.place.get('axis', 1)}"))
 
 
 @dataclass(frozen=True, slots=True)
 class Recognised:
-    """Whose log a file is.
+    """The drive profile of a file, and the axes found.
 
     Attributes:
         profile: of the drive.
-        axes: in the order of their numbers, or of the file.
+        axes: sorted by number, or in the order of the file.
     """
 
     in_json = "sentence -profile"
@@ -68,10 +68,10 @@ class Recognised:
 
 
 def recognise(columns: tuple[str, ...]) -> Recognised | None:
-    """Recognise whose log has these columns; None where no profile knows a position, and another channel or axis.
+    """Find the profile with the most matching columns, or None.
 
-    "q" and "tau" alone are nobody's names. Of several profiles the one counts that knows most columns; the plain names
-    come last.
+    A match needs a position and one more column, of which one has another name than "q" and "tau". The generic profile
+    comes last.
     """
     spoken, best, most = index_columns(columns), None, 1
     for name in sorted(profile_names(), key=lambda one: (one == _LAST, one)):
@@ -85,7 +85,7 @@ def recognise(columns: tuple[str, ...]) -> Recognised | None:
 
 
 def _find_axes(profile: Profile, columns: tuple[str, ...], spoken: Spoken) -> Iterator[LoggedAxis]:
-    """Yield axes with a position of their own, each column at its first place."""
+    """Yield axes with their own position; each column belongs to one axis."""
     known = [name for signals in profile.channels.values() for one in signals for name in one.names]
     every = (re.escape(name).replace(r"\{joint\}", r"([^/]+)") for name in known if "{joint}" in name)
     patterns = [re.compile(f"(?:.*[./])?{one}", re.IGNORECASE) for one in every]
@@ -101,8 +101,8 @@ def _find_axes(profile: Profile, columns: tuple[str, ...], spoken: Spoken) -> It
 
 
 _TIME = re.compile(rf"(?:.*[/._ ])?{STAMP_NAME.pattern}", re.IGNORECASE)
-_MOSTLY = 0.05  # of the steps of a clock, that may repeat a stamp or run backward
-_LISTED = 1000  # channels; who has more of them reads them by a program
+_MOSTLY = 0.05  # largest share of steps of a clock that repeat a stamp or run backward
+_LISTED = 1000  # channels; more are for programs
 _LONGEST = 60  # characters of a name in the table
 
 
@@ -111,11 +111,11 @@ class InspectedChannel:
     """One column of a file.
 
     Attributes:
-        name: as the file has it.
-        unit: that the file or the name states, None without one; it need not be one that is known here.
-        values: (samples,), NaN where a row has no number.
-        time: the column that is taken for its clock, None where none is recognised; of a clock its own name.
-        sample_time: mean time between its samples in seconds, None without a clock.
+        name: in the file.
+        unit: stated by the file or the name, known or not; None without one.
+        values: (samples,), NaN in rows without a number.
+        time: its clock's column, its own name for a clock; None if none is recognised.
+        sample_time: mean step of its clock in seconds; None without a clock.
     """
 
     in_json = "rows minimum maximum missing"
@@ -127,27 +127,27 @@ class InspectedChannel:
 
     @property
     def rows(self) -> int:
-        """Count of its numbers, NaN included."""
+        """Number of values, NaN included."""
         return self.values.size
 
     @property
     def missing(self) -> int:
-        """Count of NaN."""
+        """Number of NaN values."""
         return int(np.count_nonzero(np.isnan(self.values)))
 
     @property
     def minimum(self) -> float | None:
-        """Smallest number; None where all are missing."""
+        """Smallest number; None if all are NaN."""
         return float(np.fmin.reduce(self.values)) if self.missing < self.rows else None
 
     @property
     def maximum(self) -> float | None:
-        """Largest number; None where all are missing."""
+        """Largest number; None if all are NaN."""
         return float(np.fmax.reduce(self.values)) if self.missing < self.rows else None
 
     @property
     def stalls(self) -> int:
-        """Count of numbers that are not larger than the one before."""
+        """Number of values that do not exceed the preceding one."""
         return int(np.count_nonzero(~(self.values[1:] > self.values[:-1])))
 
 
@@ -170,7 +170,7 @@ class Inspection(Documented):
     recognised: Recognised | None = None
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Table of channels; skipped content, and whose log it is."""
+        """Return a table of channels, skipped content and the recognised profile."""
         del details
         header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN")
         rows = tuple(

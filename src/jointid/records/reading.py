@@ -1,4 +1,4 @@
-"""Read a record from a file by steps: select columns, log them with their clocks, unwrap, convert to SI, align.
+"""Read a record from a file: columns, clocks, wraps, units, alignment.
 
 Each step reports all of its faults at once.
 """
@@ -36,8 +36,8 @@ from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Spans, Tap, Timing, refer_channel
 from jointid.records.resampling import Resampling, Signal, bring_together
 
-_TURNS_ON = 1.5  # wraps from which on a motor that travels so far turns on where its reference wraps
-_FEWEST_ROWS = 3  # with a number, of a column that is empty between
+_TURNS_ON = 1.5  # wraps: a motor that travels further passes the wrap of its reference
+_FEWEST_ROWS = 3  # fewest rows with a number in a sparse column
 
 
 def read(
@@ -58,28 +58,28 @@ def read(
     leave_out: Spans = (),
     **options: object,
 ) -> Record:
-    """Read a record from a file, and report all faults of a step at once.
+    """Read a record from a file.
 
     The clock is `sample_time`, or the time column: named by `time`, or the only one called t or time (as "Time [ms]").
     Channels of different rates end at their last number; otherwise an early end is a fault. A jump of the
-    clock is a fault unless `resample` or `part` is given. Where stamps jitter, a position tells whether samples follow
-    them. Channels without a common instant are resampled to the fastest, with a remark.
-    The file's own unit applies where neither `columns` nor the column's name states one.
+    clock is a fault unless `resample` or `part` is given. If stamps jitter, a position decides whether the samples
+    follow them. Channels without a common instant are resampled to the fastest, with a remark.
+    The file's own unit applies if neither `columns` nor the column's name states one.
 
     Args:
         path: the file; its suffix selects the format.
-        columns: channel of `CHANNELS` -> column name or `Column`. A drive's profile finds those left out.
+        columns: channel of `CHANNELS` -> column name or `Column`. A drive's profile finds missing ones.
         drive: factors for counts, shares of rated torque and ampere, and the profile of the traces.
         time: name of the time column.
-        time_unit: unit of the time column; None takes the one in its name, or else s.
+        time_unit: unit of the time column; None takes the one in its name, or s.
         sample_time: time between samples [s]; it must agree with `time`.
         kind: "revolute" (rad, rad/s, N m unless a column says otherwise) or "prismatic" (m, m/s, N).
         transmission: between motor and load; it sets both kinds and refers every channel to its `side`.
         name: of the record in reports; None takes the file's name without suffix.
         start: first instant to read, in seconds of the log's own clock.
-        stop: last one.
-        part: which part between jumps of the clock to read, counted from 1; 0 takes the longest.
-        leave_out: times whose samples do not count, [begin, end) each; the loop goes on through them.
+        stop: last instant to read.
+        part: part between jumps of the clock to read, counted from 1; 0 takes the longest.
+        leave_out: excluded time spans, [begin, end) each; simulations continue through them.
         resample: rules for a uniform clock.
         options: of the format's reader; see `jointid.records.formats.TextOptions`.
 
@@ -95,7 +95,7 @@ def read(
 
 @dataclass(frozen=True, slots=True)
 class RecordReader:
-    """Settings that turn a table into a record; see `read`."""
+    """Settings that convert a table to a record; see `read`."""
 
     columns: Mapping[str, str | Column]
     drive: Drive
@@ -116,20 +116,20 @@ class RecordReader:
             )
 
     def build_record(self, table: Table, name: str) -> Record:
-        """Build the record that a table holds."""
+        """Build the record of a table."""
         given, time, period = as_columns(self.columns), self.time, self.sample_time
         wanted = {name: given[name] for name in CHANNELS if name in given}
         if any(column.sample_time or column.time for column in wanted.values()):
             table = _cut_tails(table)
         if time is None and period is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)
-        # A sample time that is given alone is all that counts, and so is a time column that is named for a file of one.
+        # A sample time given alone, or the named time column of a file with one clock, overrides the file's clocks.
         alone = period is not None if time is None else self.time is not None and len(set(table.clocks.values())) == 1
         clocks = {} if alone else dict(table.clocks)
         columns = self._select(table, wanted)
         signals = self._log(table, columns, time, clocks)
         channels, begin, done, said = bring_together(signals, self.resample)
-        # The file begins with the first row of its clocks, which no channel may use.
+        # The file begins with the first row of its clocks, including unused ones.
         origins = [one.clock.first for one in signals.values()]
         for one in set(clocks.values()):
             _, stamps = find_stamps(table, one, self.time_unit, None)
@@ -154,7 +154,7 @@ class RecordReader:
         return record
 
     def _select(self, table: Table, wanted: Mapping[str, Column]) -> dict[str, Column]:
-        """Return the columns as declared, else by the drive's profile, else in the units of the file."""
+        """Return the columns: declared, by profile, or in the file's units."""
         profile, faults = self.drive.traces, list[str]()
         frame = Frame(self.drive, self.kind, self.transmission)
         found = {channel: column for channel, column in wanted.items() if column.column}
@@ -188,7 +188,7 @@ class RecordReader:
     def _log(
         self, table: Table, columns: Mapping[str, Column], time: str | None, clocks: Mapping[str, str]
     ) -> dict[str, Signal]:
-        """Return the channels in SI with their clocks, at the rows in which there are new numbers, unwrapped."""
+        """Return unwrapped channels in SI with their clocks, at refreshed rows."""
         made, faults, gear = dict[str, Signal](), list[str](), self.transmission
         frame = Frame(self.drive, self.kind, gear)
         for name in (n for n in dict.fromkeys((*POSITIONS, *columns)) if n in columns):  # the reference after the motor
@@ -223,7 +223,7 @@ class RecordReader:
     def _sample(
         self, table: Table, what: str, column: Column, own: str | None, time: str | None
     ) -> tuple[FloatArray, Clock, list[str]]:
-        """Return the new numbers of a column, their clock, and remarks."""
+        """Return the refreshed numbers of a column, their clock, and remarks."""
         values, period, resampled = table.columns[column.column], column.sample_time, self.resample is not None
         stated, first, remarks = None if own else self.sample_time, 0.0, list[str]()
         try:
@@ -262,7 +262,7 @@ class RecordReader:
         return values[kept], replace(clock, stamps=clock.stamps[kept], sample_time=every), remarks
 
     def _find_rows(self, stamps: FloatArray, values: FloatArray, clock: str = "") -> NDArray[np.bool_]:
-        """Return the samples of a column within the cut, (samples,), without those that repeat stamp and value."""
+        """Return the samples to read, (samples,): in the cut, without repetitions."""
         rows = ~_repeats(stamps, values)
         if self.cut != Cut():
             rows[rows] = self.cut.find_rows(stamps[rows], clock)
@@ -270,12 +270,12 @@ class RecordReader:
 
 
 def _find_wrap(name: str, values: FloatArray, factor: float, scale: float, motor: Signal | None) -> float:
-    """Return the wrap of a position that jumps by it, 0 if it does not.
+    """Return the wrap of a position; 0 without one.
 
-    A measured position cannot go by its range in one sample. A reference can, as a saw tooth: it wraps where a
-    measured one does, or turns on, or where none is logged and the jump is a known wrap.
+    A measured position cannot jump by its range in one sample. A reference can, as a saw tooth: its wrap counts if the
+    motor position wraps or travels on, or if none is logged and the jump is a known wrap.
 
-    Values, (samples,), are those of the column: `factor` takes them to SI, and 1 is `scale` of the joint's position.
+    Column values, (samples,), are converted to SI by `factor`, and in size to the joint's position by `scale`.
     """
     wrap, known = find_wrap(values, 2 * np.pi / abs(factor)) or (0.0, False)
     if motor is not None:
@@ -284,7 +284,7 @@ def _find_wrap(name: str, values: FloatArray, factor: float, scale: float, motor
 
 
 def _begin_in_one_turn(made: dict[str, Signal]) -> dict[str, Signal]:
-    """Take a motor that wraps to the turn of its reference."""
+    """Shift a wrapping motor position to the turn of its reference."""
     motor, reference = made.get("motor_position"), made.get("reference")
     if motor is None or not motor.wrap or reference is None:
         return made
@@ -295,13 +295,13 @@ def _begin_in_one_turn(made: dict[str, Signal]) -> dict[str, Signal]:
 
 
 def _repeats(stamps: FloatArray, values: FloatArray) -> NDArray[np.bool_]:
-    """Return the samples, (samples,), that repeat the stamp and the value before them."""
+    """Test which samples, (samples,), repeat the preceding stamp and value."""
     same = (np.diff(values) == 0) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     return np.concatenate([[False], (np.diff(stamps) == 0) & same])
 
 
 def _find_filled_rows(values: FloatArray, *, resampled: bool) -> NDArray[np.bool_] | None:
-    """Return the rows, (samples,), with a number in a column but not in others; None if those are a fault."""
+    """Return the filled rows of a sparse column, (samples,), or None."""
     filled = ~np.isnan(values)
     rows = np.flatnonzero(filled)
     if rows.size < _FEWEST_ROWS or (longest := int(np.diff(rows).max())) == 1:
@@ -311,7 +311,7 @@ def _find_filled_rows(values: FloatArray, *, resampled: bool) -> NDArray[np.bool
 
 
 def _find_refreshes(values: FloatArray, ratio: float) -> NDArray[np.bool_]:
-    """Return the rows, (samples,), at which a column is refreshed every `ratio` rows; all if it changes between."""
+    """Return the rows, (samples,), of refreshes every `ratio` rows, or all."""
     every = round(min(ratio, values.size))
     changes = np.flatnonzero(np.diff(values)) + 1
     phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
@@ -320,7 +320,7 @@ def _find_refreshes(values: FloatArray, ratio: float) -> NDArray[np.bool_]:
 
 
 def _cut_tails(table: Table) -> Table:
-    """Cut each column after its last number, if it has one in every row until then."""
+    """Cut columns after their last number if no gap precedes it."""
     cut = {}
     for name, values in table.columns.items():
         filled = np.flatnonzero(~np.isnan(values))

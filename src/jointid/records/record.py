@@ -1,4 +1,4 @@
-"""A record: logged signals in SI units, with sample time, timing and source.
+"""A record: logged signals in SI units.
 
 A controller's torque is *held* between samples, an encoder is *sampled*, and some drives log the *average* over the
 period that ends at the sample. Confusing them shifts the signal by half a period.
@@ -20,11 +20,11 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.text import pluralise
 from jointid.common.transmission import Side, Transmission
 
-_DECIMALS = 13  # of a period in seconds: more are of a period that has no end
+_DECIMALS = 13  # most decimals of a period in seconds that is a finite decimal number
 
 
 Spans: TypeAlias = tuple[tuple[float, float], ...]
-"""Parts of a time, from one instant up to another one, in order."""
+"""Time spans [begin, end), in order."""
 
 
 class Timing(StrEnum):
@@ -57,9 +57,9 @@ class Channel:
         values: shape (samples,), in the SI `unit`, finite, read-only.
         unit: SI unit of `values`: "m", "rad", "m/s", "rad/s", "N", "N m", or "A", "V" for a torque in drive units.
         sample_time: seconds between samples; this channel's own rate.
-        timing: what a value says about the time around its sample.
-        source: where the values came from, for reports.
-        stated: whether the timing was stated, and is no default of a reader.
+        timing: instants that a value represents.
+        source: origin of the values, for reports.
+        stated: whether the timing was stated, not a reader's default.
     """
 
     values: FloatArray
@@ -95,7 +95,7 @@ class Channel:
 
 
 def instants(samples: int, period: float) -> FloatArray:
-    """Return multiples of a period from 0 on, (samples,), with no more decimals than the period has."""
+    """Return multiples of a period from 0, (samples,), rounded to its decimals."""
     decimals = next((n for n in range(_DECIMALS) if round(period, n) == period), None)
     found = np.arange(samples) * period
     return np.asarray(found if decimals is None else np.round(found, decimals), dtype=np.float64)
@@ -125,9 +125,9 @@ class Resampled:
 
     Attributes:
         sample_time: of the record, s.
-        methods: by channel, "hold", "linear", "cubic", or "mean" of what was logged as an average.
-        largest, rms: deviation of the stamps from their uniform clock, in samples, of the worst time column.
-        gaps: steps of the stamps that leave out samples.
+        methods: by channel, "hold", "linear", "cubic", or "mean" for an averaged channel.
+        largest, rms: deviation of the stamps from a uniform clock, in samples, for the worst time column.
+        gaps: number of steps that skip samples.
     """
 
     sample_time: float
@@ -150,25 +150,25 @@ TORQUES = ("torque", "injected")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """Signals of one run; a channel that was not logged is None.
+    """Signals of one run; missing channels are None.
 
     Attributes:
         torque: motor torque (force), in N m (N), or in A or V while the torque constant is unknown.
         tap: where in the drive the torque was logged.
         reference: commanded position, motor side.
-        reference_velocity: commanded velocity, where the controller uses one of its own.
+        reference_velocity: commanded velocity, if the controller uses a separate one.
         motor_position: motor encoder.
         load_position: load encoder.
         injected: a known signal added to the controller's output.
-        name: what reports call this record.
+        name: of the record in reports.
         begin: seconds from the first sample of the file to that of this record, which begins at its first refresh.
-        resampled: how its samples were brought to a uniform clock, None where they were logged so.
-        remarks: on what was put right in the file when it was read, or may be wrong there, a clause each.
-        computed_by: the controller whose output for the motor position the torque is; None where it was logged.
-        payload: of a robot, the ten inertial parameters of what its last link carries beside the model, in the frame of
-            that link: m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz; none without any. That of the last joint's record
-            is read.
-        left_out: parts of the time whose samples do not count, by the log's own clock [s].
+        resampled: applied resampling; None if logged with a uniform clock.
+        remarks: clauses on corrections and possible errors of the file.
+        computed_by: the controller that computed the torque from the motor position; None for a logged torque.
+        payload: of a robot, the ten inertial parameters of the last link's payload, which the model does not contain,
+            in the frame of that link: m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz; empty without payload. Only the
+            last joint's record needs it.
+        left_out: excluded time spans, by the log's own clock [s].
         zero: instant of that clock at which `begin` is 0 [s].
 
     Raises:
@@ -186,7 +186,7 @@ class Record:
     begin: float = 0.0
     resampled: Resampled | None = None
     remarks: tuple[str, ...] = ()
-    computed_by: Any = None  # a controller, of which this room knows nothing
+    computed_by: Any = None  # a controller; records do not import controllers
     payload: tuple[float, ...] = ()
     left_out: Spans = ()
     zero: float = 0.0
@@ -218,12 +218,12 @@ class Record:
 
     @property
     def computed(self) -> bool:
-        """Whether the torque is no logged one, but computed from the motor position."""
+        """True if the torque is computed from the motor position."""
         return self.computed_by is not None
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the channels there are."""
+        """Names of the present channels."""
         return tuple(name for name, _ in self.items())
 
     @property
@@ -232,12 +232,12 @@ class Record:
         return min(channel.duration for _, channel in self.items())
 
     def counts(self, samples: int, period: float) -> FloatArray:
-        """Return weights of 1, or 0 for samples that are left out, (samples,)."""
+        """Return weights, (samples,): 0 for left-out samples, else 1."""
         at = self.on_clock(instants(samples, period))
         return np.ones(samples) - sum((at >= begin) & (at < end) for begin, end in self.left_out)
 
     def on_clock(self, seconds: FloatArray) -> FloatArray:
-        """Return instants from the first sample on by the log's own clock."""
+        """Convert seconds since the first sample to the log's own clock."""
         return self.zero + self.begin + seconds
 
     def without(self, *names: str) -> Record:
@@ -266,9 +266,9 @@ class Record:
 
 
 def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
-    """Refuse a record with other units than the joint's.
+    """Refuse a record with units that differ from the joint's.
 
-    The torque is in `torque_unit`; None is SI.
+    The torque's unit is `torque_unit`, or SI if None.
     """
     units_of = {name: torque_unit if torque_unit and name in TORQUES else si_unit(name, kind) for name in CHANNELS}
     wrong = [f"{n} in {one.unit}, not {units_of[n]}" for n, one in record.items() if one.unit != units_of[n]]
@@ -282,7 +282,7 @@ def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
 def refer_channel(
     transmission: Transmission, name: str, channel: Channel, side: Side, *, back: bool = False
 ) -> Channel:
-    """Refer a channel from its logged side to the joint's side, or back."""
+    """Refer a channel from its logged side to the joint's, or back."""
     position, kind = transmission.position(side), transmission.kind
     if back:
         position, kind = 1.0 / position, transmission.kind_of(side)

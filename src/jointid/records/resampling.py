@@ -1,6 +1,6 @@
-"""Bring channels to one clock, their update rate, or a controller's period.
+"""Resampling to a uniform clock, update rate or controller period.
 
-Resampling is right where *samples* were taken at the stamps. If only the stamps jitter, use `sample_time` without a
+Resampling is correct if *samples* were taken at the stamps. If only the stamps jitter, use `sample_time` without a
 time column instead; resampling would add the jitter to the samples.
 """
 
@@ -23,29 +23,29 @@ from jointid.records.record import Channel, Resampled, Timing
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
 Between: TypeAlias = Interpolation | Literal["spline"]
 
-# Largest ratio of the new sample time to a channel's own: what aliases then was above 0.9 of its Nyquist frequency,
-# where a joint leaves nothing.
+# Largest ratio of the new sample time to a channel's own: only content above 0.9 of its Nyquist frequency aliases,
+# where a joint has none.
 _LOWER_RATE = 1.1
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
-_WHOLE = 1e-2  # how near to a whole number of samples counts as one
-_CHANGES = 20  # fewer changes than this do not show a rhythm
+_WHOLE = 1e-2  # tolerance of a whole number of samples
+_CHANGES = 20  # fewest changes that define an update interval
 _LONGEST_MEAN = 10_000  # values
-_SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
-_SHOWN = 25.0  # F of the jitter in a position, or of its absence, that decides: five standard deviations
-_MOST = 200  # periods to one log sample, or the other way round: more is a mistake
+_SAME_RATE = 1e-4  # relative difference of two rates below which they are equal, as of crystals
+_SHOWN = 25.0  # F statistic, five standard deviations, at which a position decides on jitter
+_MOST = 200  # largest ratio of controller period and sample time, or inverse
 
 
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Resampling:
-    """Rules by which channels are resampled to one uniform clock.
+    """Rules for resampling channels to one uniform clock.
 
-    A lower rate is refused: it needs a filter against aliasing, and `Filtering` has the one that torque and model go
-    through alike. Nothing is extrapolated.
+    A lower rate is refused: it needs an anti-aliasing filter, and `Filtering` applies the same one to torque and
+    model. Nothing is extrapolated.
 
-    A held channel stays held. An averaged one is taken as the mean over the new periods, of values that are each the
-    mean over their own.
+    A held channel stays held. An averaged channel becomes the mean over each new period, weighted by the overlap with
+    its own periods.
 
     Example:
         >>> Resampling(1e-3, "cubic").longest_gap
@@ -70,8 +70,8 @@ class Signal:
     """A channel as logged, with its clock.
 
     Attributes:
-        wrap: at which a position wraps in its column, in the channel's unit; 0 if it does not.
-        remarks: on what was put right.
+        wrap: wrap of a position in the channel's unit; 0 without one.
+        remarks: on corrections.
     """
 
     channel: Channel
@@ -83,14 +83,14 @@ class Signal:
 def bring_together(
     signals: Mapping[str, Signal], how: Resampling | None
 ) -> tuple[dict[str, Channel], float, Resampled | None, tuple[str, ...]]:
-    """Bring signals to a common beginning at their own rates, or resample them to one rate.
+    """Align signals at their own rates, or resample them to one rate.
 
     Args:
         signals: by channel.
-        how: rules of resampling; None keeps each rate if uniform clocks have a common instant.
+        how: rules of resampling; None keeps each rate if uniform clocks share an instant.
 
     Returns:
-        The channels, the first instant from the first stamp of all [s], what was resampled, and remarks.
+        The channels, their start relative to the earliest stamp [s], a summary of resampling, and remarks.
     """
     remarks = list[str]()
     if how is None and any(one.clock.jitter for one in signals.values()):
@@ -105,7 +105,7 @@ def bring_together(
 
 
 def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | None:
-    """Cut channels to the beginning of the latest; None if one has no sample there."""
+    """Cut channels to the latest beginning, or return None."""
     if not signals:
         return {}, 0.0
     begins = {name: float(one.clock.straightened()[0]) for name, one in signals.items()}
@@ -116,16 +116,16 @@ def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | 
         return None
     kept = {name: one.channel.values[round(late[name]) :] for name, one in signals.items()}
     ends = [periods[name] * values.size for name, values in kept.items()]
-    end = min(ends) if any(map(round, late.values())) else math.inf  # of clocks that begin apart the ends are, too
+    end = min(ends) if any(map(round, late.values())) else math.inf  # clocks with different starts end differently
     cut = {n: values[: math.ceil(min(end / periods[n], values.size) - _WHOLE)] for n, values in kept.items()}
     return {n: replace(one.channel, values=cut[n]) for n, one in signals.items()}, latest - min(begins.values())
 
 
 def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
-    """Resample channels to their common interval; return them, its start and a summary.
+    """Resample channels to their common interval; return start and summary, too.
 
-    The first instant is at the latest phase of the held channels, so that jitter does not skip or repeat a held value.
-    It is relative to the first stamp of all.
+    The start is at the latest phase of the held channels, so that jitter does not skip or repeat a held value. It is
+    relative to the earliest stamp [s].
     """
     zero = min((one.clock.stamps[0] for one in signals.values()), default=0.0)  # seconds since 1970 leave few digits
     T, faults, off, gaps = how.sample_time, list[str](), dict[str, FloatArray](), dict[str, int]()
@@ -166,9 +166,9 @@ def resample_together(signals: Mapping[str, Signal], how: Resampling) -> tuple[d
 
 
 def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dict[str, Signal], str]:
-    """Return the resampling of channels with jittering stamps, the signals at straight stamps, and a remark.
+    """Decide on resampling jittering channels; return rules, signals and a remark.
 
-    No channel is resampled where no position follows the stamps of its own clock.
+    Channels are resampled only if a position follows the stamps of its clock; other stamps are straightened.
     """
     jittering = [one.clock for one in signals.values() if one.clock.jitter]
     told = dict[str, bool]()
@@ -188,10 +188,10 @@ def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dic
 
 
 def _follows_stamps(one: Signal) -> bool | None:
-    """Test whether a position was sampled at its stamps; None if it does not tell.
+    """Test whether a position was sampled at its stamps; None if undecided.
 
-    A position x that was sampled at instants off by d from a uniform clock is x(t + d), so the third differences of x
-    follow those of d v, with v its velocity. Where only the stamps jitter they do not.
+    A position x sampled with deviations d from a uniform clock is x(t + d). The third differences of x are then
+    correlated with those of d v, where v is the velocity. They are not if only the stamps jitter.
     """
     values, period, stamps = one.channel.values, one.clock.sample_time, one.clock.stamps
     if stamps.size < _CHANGES:
@@ -206,10 +206,10 @@ def _follows_stamps(one: Signal) -> bool | None:
 
 
 def _find_beginning(first: float, held: Sequence[FloatArray], T: float) -> float:
-    """First instant from `first` on at the latest phase of held stamps.
+    """Return the first instant after `first` at the latest held phase.
 
-    Jittering stamps of period T fill an arc of the circle t mod T; an instant at its end is after each sample and
-    before the next.
+    Jittering stamps of period T fill an arc of the circle t mod T. An instant at the arc's end lies between all
+    samples of one period and of the next.
     """
     if not held:
         return first
@@ -240,17 +240,17 @@ def update_interval(values: FloatArray) -> int:
 
 
 def default_interpolation(channel: Channel) -> Interpolation:
-    """Return the interpolation of a slow channel for which none is declared: one that repeats its values is held."""
+    """Default interpolation of a channel; one with repeated values is held."""
     return "linear" if channel.timing is Timing.SAMPLED and update_interval(channel.values) == 1 else "hold"
 
 
 def at_period(channel: Channel, period: float, periods: int, name: str, way: Between | None = None) -> FloatArray:
     """Resample a channel to the controller's instants, (periods,).
 
-    A faster channel is decimated. A slower one is held, or interpolated by lines, Catmull-Rom cubics or the cubic
-    spline through all samples; the last value stays. The default follows from the channel's timing; a sampled one gets
-    lines. A law differentiates a measured position, and needs the spline: the slope of a line is that of half a sample
-    earlier. Values that are not finite have lines between the others.
+    A faster channel is decimated. A slower one is held, or interpolated by lines, Catmull-Rom cubics or a cubic
+    spline; the last value is kept. The default follows from the channel's timing; sampled channels get lines. A
+    measured position that a controller differentiates needs the spline: the slope of a line is half a sample late.
+    Channels with values that are not finite are interpolated linearly.
     """
     every, repeat = period_ratio(period, channel.sample_time, name)
     way = way or default_interpolation(channel)
@@ -266,9 +266,9 @@ def at_period(channel: Channel, period: float, periods: int, name: str, way: Bet
 
 
 def running_mean(values: FloatArray, periods: float, slope: float) -> FloatArray:
-    """Return the mean of the last `periods` values (samples,), as many rounded up of which the first has a part.
+    """Return the mean of the last `periods` values, (samples,).
 
-    Before the first sample they moved by `slope` per sample. At rest the mean is at rest to the last bit.
+    The oldest value has a fractional weight; earlier ones follow `slope` per sample. A constant's mean is exact.
 
     Raises:
         RecordError: the mean is over more than 10,000 values.

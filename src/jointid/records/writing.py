@@ -17,7 +17,7 @@ from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record, instants, refer_channel
 
-_ONE = 1e-9  # relative: two channels of one column differ by rounding alone
+_ONE = 1e-9  # relative tolerance of two channels that share a column
 
 
 def write(
@@ -35,31 +35,31 @@ def write(
 ) -> None:
     """Write a record to a file that `jointid.read` restores with the same arguments.
 
-    Unnamed channels are written in SI under their own names. Reading needs what a table does not hold: the joint's
-    kind, a torque in A or V, and non-default settings of `Column`.
+    Channels without a column are written in SI under their own names. The file does not contain the joint's kind, a
+    torque unit A or V, and non-default settings of `Column`; reading needs them.
 
     Args:
         record: at least two samples, one rate; on its joint's side of the transmission.
         path: the file; its suffix selects the format. An existing file is replaced.
         columns: channel -> column name or `Column`.
         drive: factors for counts, shares of rated torque and ampere, and the profile of the traces.
-        time: name of the time column; None is "t", or no column where the sample time is given.
-        time_unit: unit of the time column; None takes the one in its name, or else s.
+        time: name of the time column; None is "t", or no column if the sample time is given.
+        time_unit: unit of the time column; None takes the one in its name, or s.
         sample_time: time between samples for reading [s].
         kind: "revolute" or "prismatic".
         transmission: between motor and load; every channel is written on its own side.
         options: of the format's reader; see `jointid.records.formats.TextOptions`.
 
     Raises:
-        RecordError: the channels differ in rate or have one sample, two share a column, or the file would not be
-            restored or cannot be written.
+        RecordError: the channels differ in rate, have one sample or share a column, or the file cannot be restored
+            or written.
     """
     frame = Frame(drive or Drive(), kind, transmission)
     write_columns(columns_to_write(record, columns or {}, frame, time, time_unit, sample_time), path, **options)
 
 
 def write_columns(columns: Mapping[str, FloatArray], path: str | os.PathLike[str], **options: object) -> None:
-    """Write columns by name; of unnamed ones, in order."""
+    """Write columns by name; numbered ones in numerical order."""
     by_number = all(name.isdecimal() for name in columns)
     names = sorted(columns, key=int) if by_number else columns
     write_table(path, Table({name: columns[name] + 0.0 for name in names}), **options)  # of 0 no negative
@@ -118,6 +118,6 @@ def _column_values(name: str, channel: Channel, columns: Mapping[str, Column], f
             f'{name} is in {channel.unit}, and its column "{column.column}" in {unit.name}; correct one of them.'
         )
     values = channel.values / (column.sign * column.gain * unit.factor)
-    if column.wrap is not None:  # it begins where it is, so that it comes back unwrapped as it was
+    if column.wrap is not None:  # the first value is kept, so that unwrapping restores the position
         values = values - column.wrap * np.round((values - values[0]) / column.wrap)
     return np.asarray(values)

@@ -29,28 +29,28 @@ from jointid.records.columns import Column, known_units, unit_fault, unit_of_col
 from jointid.records.record import CHANNELS, InjectionPoint, Tap
 
 Spoken: TypeAlias = Mapping[tuple[str, ...], Sequence[str]]
-"""Columns of a trace by the words that name them."""
+"""Columns of a trace, by the words of their names."""
 
 Place: TypeAlias = Mapping[str, int | str]
-"""Where in a trace an axis stands: what the placeholders of names mean."""
+"""Values of the placeholders in column names for an axis of a trace."""
 
 _FOLDER = files("jointid.records.drives")  # of the profiles
 _COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
 _HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _WORD = re.compile(r"[a-z0-9]+")
 _LISTED = 10  # columns that a message shows
-_PREFIX = re.compile(r"\.|/(?=.*/)")  # what ends one
+_PREFIX = re.compile(r"\.|/(?=.*/)")  # end of a prefix
 _BRACKETS = re.compile(r"\s*[\[(](?!\d+[\])])[^\[\]()]*[\])]\s*$")  # of a unit; "q[0]" is an element
 
 
 @dataclass(frozen=True, slots=True)
 class TraceSignal(Column):
-    """A drive signal that can serve as a channel: a column with its usual unit, side, timing and tap.
+    """A drive signal for a channel: a column with usual settings.
 
     Attributes:
-        names: of its column; {axis} stands for the number of the axis, {index} for one less, {joint} for its name.
-        axes: that have it; None where all have.
-        fallback: whether it counts only where the trace has no other signal of its channel.
+        names: of its column, with placeholders {axis} (number from 1), {index} (from 0) and {joint} (name).
+        axes: the axes that have it; None for all.
+        fallback: whether to use it only if the trace has no other signal of its channel.
     """
 
     names: tuple[str, ...] = ()
@@ -69,7 +69,7 @@ class TraceSignal(Column):
         stated = column.unit is not None or column.gain != 1.0 or column.stated_unit(known) is not None
         return replace(
             column,
-            unit=column.unit if stated else self.unit,  # a gain leads to another unit
+            unit=column.unit if stated else self.unit,  # a gain implies another unit
             timing=column.timing or self.timing,
             tap=column.tap or self.tap,
             at=self.at if column.at is InjectionPoint.AFTER_LIMIT else column.at,
@@ -82,12 +82,12 @@ class Profile:
 
     Attributes:
         sources: public documents, and the objects or parameters in them.
-        assumed: what a user has to compare with the drive's parameters.
-        rated_torque: which of the drive's numbers a share of the rated torque is a share of.
-        counts: which of its numbers the counts of a turn are.
-        time: names of the time column beside "t" and "time".
-        channels: the signals that each channel can be.
-        law: of its controller, where one is known, by the word of the joint file.
+        assumed: assumptions that users have to compare with the drive's parameters.
+        rated_torque: the drive parameter with the rated torque.
+        counts: the drive parameter with the counts per turn.
+        time: names of the time column other than "t" and "time".
+        channels: the possible signals of each channel.
+        law: controller law in the joint file's terms; empty if unknown.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Profile:
     law: str = ""
 
     def find(self, channel: str, columns: Spoken, place: Place) -> dict[str, TraceSignal]:
-        """Columns that can be a channel, with their signals; fallbacks only where nothing else is."""
+        """Return possible columns of a channel with their signals; fallbacks last."""
         for fallback in (False, True):
             signals = [one for one in self.channels.get(channel, ()) if one.fallback is fallback]
             if found := {name: one for one in signals for name in _find_named(one.names_on(place), columns)}:
@@ -111,7 +111,7 @@ class Profile:
     def column(
         self, channel: str, declared: Column | None, place: Place, kind: str, tap: Tap | None = None
     ) -> Column | None:
-        """Find the column to write a channel to: the declared one, or the first known name, of a signal of this tap."""
+        """Return the column to write a channel to, declared or by profile."""
         column, signals = declared or Column(optional=True), list(self.channels.get(channel, ()))
         if column.column:
             signals = list(self.find(channel, index_columns([column.column]), place).values())
@@ -134,7 +134,7 @@ class Profile:
         kinds: Mapping[str, str],
         source: str,
     ) -> tuple[dict[str, Column], list[str]]:
-        """Assign columns to channels, with a fault for each missing or ambiguous one."""
+        """Assign columns to channels; report missing and ambiguous ones."""
         made, faults, spoken = dict[str, Column](), list[str](), index_columns(columns)
         for channel in CHANNELS:
             column = declared.get(channel) or Column(optional=True)
@@ -148,7 +148,7 @@ class Profile:
         return made, faults if made or faults else [self._missing(source, spoken, "any channel", [])]
 
     def _missing(self, source: str, columns: Spoken, channel: str, found: list[str]) -> str:
-        """Say that no column is known as a channel, or more than one."""
+        """Describe a channel with no known column or several."""
         listed = found or list(dict.fromkeys(name for names in columns.values() for name in names))[:_LISTED]
         return (
             f'{source} has {"several columns" if found else "no column"} that profile "{self.name}" knows as '
@@ -157,13 +157,13 @@ class Profile:
 
 
 def place_of(axis: int | None = None, joint: str | None = None) -> Place:
-    """Return a place in a trace, for the placeholders of names."""
+    """Return the values of the placeholders in column names."""
     numbers: dict[str, int | str] = {} if axis is None else {"axis": axis, "index": axis - 1}
     return numbers if joint is None else {**numbers, "joint": joint}
 
 
 def _find_named(names: Iterable[str], columns: Spoken) -> list[str]:
-    """Return the columns that have one of these names."""
+    """Return the columns with one of these names."""
     return list(dict.fromkeys(column for name in names for column in columns.get(_split_words(name), ())))
 
 
@@ -178,7 +178,7 @@ def load_profile(name: str) -> Profile:
     """Load a profile by name.
 
     Raises:
-        RecordError: there is none.
+        RecordError: the profile is unknown.
     """
     if name not in profile_names():
         raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
@@ -195,7 +195,7 @@ def _freeze(raw: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def index_columns(columns: Iterable[str]) -> Spoken:
-    """Return the columns by the words that name them."""
+    """Index columns by the words of their names."""
     found: dict[tuple[str, ...], list[str]] = {}
     for column in columns:
         for words in _name_words(column):
@@ -209,9 +209,9 @@ def _split_words(name: str) -> tuple[str, ...]:
 
 
 def _name_words(column: str) -> set[tuple[str, ...]]:
-    """Words of a column name, with and without prefix and bracketed unit.
+    """Words of a column name, with and without prefix and unit.
 
-    A path keeps its last two parts: what stands below a joint is not its name.
+    A path keeps its last two parts: a name below a joint is not complete.
     """
     whole = {column, _BRACKETS.sub("", column)}
     return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in _PREFIX.finditer(name)))}
@@ -223,8 +223,8 @@ class Drive:
     """A drive's profile and the parameters behind its units.
 
     Raises:
-        RecordError: there is no such profile, a number is not positive and finite, or the axis is not a whole number
-            from 1 on.
+        RecordError: the profile is unknown, a number is not positive and finite, or the axis is not a positive
+            integer.
     """
 
     profile: str | None = setting(
@@ -279,13 +279,13 @@ class Drive:
         return signals[0].side or usual if signals else usual
 
     def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
-        """Return a unit with its factor to SI; other units stay.
+        """Return a unit with its factor to SI; other units are unchanged.
 
         Args:
             unit: of a channel.
             kind: of motion on the measured side.
-            of_load: whether the load's own encoder measures it.
-            geared: whether the load moves by another amount, so that the motor's counts do not apply.
+            of_load: whether the load encoder measures it.
+            geared: whether a gear separates it from the motor, so that the motor's counts do not apply.
 
         Raises:
             UnitError: a number is missing; the message is the end of a sentence.
@@ -310,7 +310,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Drive, kind of motion and transmission of a joint: the side and the unit of each channel."""
+    """Side and unit of a joint's channels: drive, motion and transmission."""
 
     drive: Drive
     kind: str
@@ -324,7 +324,7 @@ class Frame:
         """Return the unit of a channel's values with its factor to SI.
 
         Raises:
-            UnitError: it is none of the channel, or a number of the drive is missing; a predicate of a sentence.
+            UnitError: the unit does not fit, or a drive parameter is missing; the message is a predicate.
         """
         kind = self.kind_of(channel, columns[channel])
         stated, known = unit_of_column(channel, columns, kind), known_units(channel, kind)

@@ -1,4 +1,4 @@
-"""File formats: to add one, write a function that reads its `Table`, and a row of `FORMATS`."""
+"""File formats; a new one needs a reader and a row of `FORMATS`."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Format:
     """A file format and its functions.
 
     Attributes:
-        suffixes: the endings of its files, in lower case, with the dot.
-        read: the function that reads a whole file; None where its blocks are joined.
-        blocks: that reads so many rows after so many, where a format has consecutive rows.
-        write: that writes a table, so that it is read back.
-        is_text: whether it is read packed by gzip, too.
+        suffixes: file name endings, in lower case, with the dot.
+        read: reads a whole file; None if `blocks` does.
+        blocks: reads blocks of rows, for formats with consecutive rows.
+        write: writes a table, which reading restores.
+        is_text: whether files may be compressed by gzip.
     """
 
     name: str
@@ -53,14 +53,14 @@ FORMATS: tuple[Format, ...] = (
     _FOLDER,
     _BAG,
 )
-"""Every format there is."""
+"""All formats."""
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
-    """Return the format for a suffix; a folder is a ROS 2 bag, or holds several files.
+    """Return the format for a suffix or a folder.
 
     Raises:
-        RecordError: unknown suffix, or an option that the format does not have.
+        RecordError: the suffix, or an option for the format, is unknown.
     """
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
@@ -84,7 +84,7 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
 
 
 def read_table(path: str | os.PathLike[str], **options: object) -> Table:
-    """Read all numbers of a file; `options` are those of text, see `TextOptions`.
+    """Read all numbers of a file; `options` as of `TextOptions`.
 
     Raises:
         RecordError: the file is missing or cannot be read.
@@ -98,9 +98,9 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
 
 
 def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
-    """Yield so many rows after so many, in bounded memory.
+    """Yield blocks of rows, in bounded memory.
 
-    Short columns are absent from blocks behind their end.
+    Short columns are absent from blocks after their end.
 
     Raises:
         RecordError: see `read_table`; or the format has no consecutive rows.
@@ -115,7 +115,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
 
 @contextmanager
 def _explain_failure(path: Path, reader: Format) -> Iterator[None]:
-    """Refuse a path without content, and say why a file cannot be read, whatever the library of its format raises."""
+    """Refuse an empty path, and convert reading errors of any library."""
     try:
         if not (path.stat().st_size and path.is_file()) and not path.is_dir():
             raise RecordError(f"{path.name} is empty, a pipe or a device; log or copy it again, to a file.")
@@ -135,10 +135,10 @@ def _explain_failure(path: Path, reader: Format) -> Iterator[None]:
 
 
 def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
-    """Write a table as CSV, MAT (version 7), NPY or Parquet, as it is read with these `options`; replaces the file.
+    """Write a table as CSV, MAT (version 7), NPY or Parquet.
 
     Raises:
-        RecordError: a suffix of no such format, a table that the format cannot hold, or an error of the system.
+        RecordError: the format is another one or cannot hold the table, or the system reports an error.
     """
     path, writer = Path(path), format_of(path, **options)
     if writer.write is None or path.suffix.lower() == ".gz":

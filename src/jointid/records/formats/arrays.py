@@ -1,8 +1,8 @@
-"""Files of arrays and columns, each by a library: NPY, NPZ, MAT of every version, HDF5, Parquet and TDMS.
+"""Files of arrays and columns: NPY, NPZ, MAT, HDF5, Parquet and TDMS.
 
-MAT of version 7.3 is HDF5 as MATLAB lays it out: every variable is a dataset, a structure a group, with its class in
-the attribute MATLAB_class; rows and columns are stored the other way round. The fields of an array of structures, and
-cells, are references into the group "#refs#". (Layout: as MATLAB's own files have it.)
+MAT of version 7.3 is HDF5: every variable is a dataset and every structure a group, with its class in the attribute
+MATLAB_class; arrays are transposed. Cells and the fields of arrays of structures are references to the group "#refs#".
+The layout was read from files that MATLAB wrote.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from jointid.common.errors import RecordError, extra
 from jointid.records.formats.table import Table, find_columns, require_room, to_numbers
 
 _HEADER = 2**20  # characters of the header of a NumPy array, for the widest table
-_VARIABLE = re.compile(r"(?!end$|for$|global$|if$)[A-Za-z]\w{0,62}", re.ASCII)  # of MATLAB; no word that a log may have
+_VARIABLE = re.compile(r"(?!end$|for$|global$|if$)[A-Za-z]\w{0,62}", re.ASCII)  # MATLAB name, no likely keyword
 _HDF5, _HEADER_73 = b"\x89HDF\r\n\x1a\n", 512  # the signature, and the bytes of MATLAB's own header before it
-# Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
-# stands for 1032 at most, and each of these may be a number.
-_PACKED_MOST, _ANY_FILE = 10_000, 2**27  # bytes of numbers that a byte of a file, and any file, may declare
-_CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
+# Declared numbers that were never written take time to read but no space in the file. Deflate expands a byte to at most
+# 1032, each of which may be a number.
+_PACKED_MOST, _ANY_FILE = 10_000, 2**27  # most bytes of declared numbers: per byte of a file, and in any file
+_CHUNK = 2**30  # most bytes of a decompressed chunk; h5py's default is a mebibyte
 _MEMBERS = 100_000  # datasets and groups of a file
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
-_IN_BYTES = ("DECIMAL", "FLOAT16")  # numbers that Parquet keeps as bytes
-_GROUP = 65536  # rows of Parquet that are written, and decoded, together
+_IN_BYTES = ("DECIMAL", "FLOAT16")  # numbers that Parquet stores as bytes
+_GROUP = 65536  # rows of Parquet that are written or decoded together
 _LONGEST_LIST = 1000  # columns of a column of lists
 _PARQUET_UNITS = (b"units", b"unit")
-_TEXT, _CONTAINER = 2**24, 2**20  # bytes and items of one entry of a file's description
-_NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
+_TEXT, _CONTAINER = 2**24, 2**20  # bytes and items of one metadata entry
+_NAMELESS = "Untitled"  # LabVIEW's name of an unnamed group
 _TDMS_UNITS = ("unit_string", "unit", "units", "Unit")
 _STEP, _OFFSET, _START = "wf_increment", "wf_start_offset", "wf_start_time"
-_UNSET = np.datetime64("1904-01-02")  # LabVIEW counts from the day before; an instant nobody set is that
+_UNSET = np.datetime64("1904-01-02")  # LabVIEW's epoch, the value of unset instants, is the day before
 
 
 def read_npy(path: Path, rows: int | None) -> Iterator[Table]:
-    """Read a record array, or a matrix whose longer side are the samples; instants count from the first row."""
+    """Read a record array, or a matrix with samples along its longer side."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what Python's parser says of a damaged header on the side
+        warnings.simplefilter("ignore")  # warnings of Python's parser about a damaged header
         array: np.ndarray[Any, Any] = np.lib.format.open_memmap(path, mode="r", max_header_size=_HEADER)
     passed: dict[str, str] = {}
     views = find_columns("", array, passed)
@@ -67,12 +67,12 @@ def write_npy(path: Path, table: Table) -> None:
     for name, values in table.columns.items():
         array[name] = values
     with path.open("wb") as file:
-        # Into a file NumPy writes by C, and does not hear that the disk was full when the last bytes went out.
+        # Into a file NumPy writes by C, which does not report a full disk on the last bytes.
         np.save(SimpleNamespace(write=file.write), array, allow_pickle=False)
 
 
 def read_npz(path: Path) -> Table:
-    """Read every array; objects, which would be pickles, are passed over."""
+    """Read every array; skip objects, which would be pickles."""
     table = Table(source=path.name)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
@@ -89,7 +89,7 @@ def read_npz(path: Path) -> Table:
 
 
 def read_mat(path: Path) -> Table:
-    """Read every variable of real numbers; structures give "structure.field" or "structures[0].field"."""
+    """Read every variable of real numbers; structures give "structure.field"."""
     with path.open("rb") as raw:
         head = raw.read(_HEADER_73 + len(_HDF5))
     if head.startswith(_HDF5) or head.startswith(_HDF5, _HEADER_73):
@@ -98,14 +98,14 @@ def read_mat(path: Path) -> Table:
 
     with warnings.catch_warnings():
         warnings.filterwarnings("error", "Duplicate variable name|Unreadable variable")
-        warnings.filterwarnings("ignore", 'Duplicate variable name "None"')  # SciPy's name of every object of MATLAB
+        warnings.filterwarnings("ignore", 'Duplicate variable name "None"')  # SciPy's name of all MATLAB objects
         try:
             variables = loadmat(path)
         except MatReadWarning as warning:
             raise RecordError(f"{path.name} has two variables of one name; rename one of them.") from warning
     table = Table(source=path.name)
     for name, value in variables.items():
-        if not name.startswith("__"):  # as SciPy's own do
+        if not name.startswith("__"):  # SciPy's entries
             _take_variable(table, name, value)
     return table
 
@@ -132,12 +132,12 @@ def write_mat(path: Path, table: Table) -> None:
         )
     from scipy.io import savemat
 
-    # Compressed variables carry a checksum: a damaged file is noticed, not read as other numbers.
+    # Compressed variables have checksums, which reveal a damaged file.
     savemat(path, dict(table.columns), do_compression=True, oned_as="column")
 
 
 def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
-    """Read every dataset of numbers by its path; what another file or place holds is not followed."""
+    """Read every dataset of numbers by its path, without external links."""
     h5py = extra("h5py", "logs", f"Reading {path.name}")
     table, seen, bearable = Table(source=path.name), 0, _ANY_FILE + _PACKED_MOST * path.stat().st_size
 
@@ -161,12 +161,12 @@ def read_hdf5(path: Path, *, matlab: bool = False) -> Table:
         table.take(called, array.T if matlab else array, unit)
 
     with h5py.File(path, "r") as file:
-        file.visititems(visit)  # each once, and no link to another place
+        file.visititems(visit)  # each once, without links
         return table
 
 
 def _refuse(h5py: Any, dataset: Any) -> str:
-    """Reason to pass over a dataset: no numbers, numbers in another file, or too large chunks."""
+    """Return the reason to skip a dataset; empty for a usable one."""
     properties, kind = dataset.id.get_create_plist(), _text_of(dataset, "MATLAB_class")
     packed = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     if dataset.shape is None or dataset.size == 0 or "MATLAB_empty" in dataset.attrs:
@@ -183,7 +183,7 @@ def _refuse(h5py: Any, dataset: Any) -> str:
 
 
 def _text_of(member: Any, key: str) -> str:
-    """Return a text that an attribute holds; none of other kinds, which may be of any size."""
+    """Return the text of an attribute; empty for other kinds."""
     held = member.attrs.get_id(key) if key in member.attrs else None
     if held is None or math.prod(held.shape or ()) != 1 or held.dtype.kind not in "OS":
         return ""
@@ -192,13 +192,13 @@ def _text_of(member: Any, key: str) -> str:
 
 
 def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
-    """Read every column of numbers, booleans or instants; null is NaN, a list "name[0]", a member "name.member".
+    """Read columns of numbers, booleans or instants; null is NaN.
 
-    Instants count from the first one of the file's first column of them.
+    Lists give "name[0]", members "name.member". Instants count from the first one of their first column.
     """
     parquet = extra("pyarrow.parquet", "logs", f"Reading {path.name}")
     begin = list[np.datetime64]()
-    # Not mapped, and read as it is asked for: memory holds what is decoded, and little else.
+    # Neither mapped nor buffered in advance: memory holds little but the decoded data.
     with (
         path.open("rb") as raw,
         parquet.ParquetFile(
@@ -214,7 +214,7 @@ def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
         groups = [about.row_group(index) for index in range(about.num_row_groups)]
         held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
         require_room(path.name, 0 if rows else max(held, about.num_rows * about.num_columns))
-        # Texts are not decoded: they may be of any size.
+        # Texts are not decoded, since their size is unbounded.
         wanted = [
             leaf.path
             for leaf in leaves
@@ -233,7 +233,7 @@ def read_parquet(path: Path, rows: int | None) -> Iterator[Table]:
 
 
 def _take_array(table: Table, name: str, array: Any, begin: list[np.datetime64]) -> None:
-    """Add the columns of an array; `begin` is the first instant of the file, once there is one."""
+    """Add the columns of an array; `begin` is the file's first instant."""
     arrow, compute = extra("pyarrow", "logs", "Reading Parquet"), extra("pyarrow.compute", "logs", "Reading Parquet")
     types, kind = arrow.types, array.type
     if types.is_map(kind) or types.is_null(kind):
@@ -277,17 +277,17 @@ def write_parquet(path: Path, table: Table) -> None:
 
 
 def read_tdms(path: Path) -> Table:
-    """Read every channel of numbers as "group/channel", or "channel" of the group "Untitled".
+    """Read channels of numbers as "group/channel", without a group "Untitled".
 
     "unit_string" is the unit. A waveform (wf_increment) gets
-    a time column "group/time" if shared by the group, else "group/channel/time". Instants and wf_start_time are seconds
-    since the first in the file. Text is skipped.
+    a time column "group/time" if shared by the group, else "group/channel/time". Instants and wf_start_time become
+    seconds since the first in the file. Text is skipped.
     """
     nptdms = extra("nptdms", "logs", f"Reading {path.name}")
-    # What is wrong with a file is said here, once, and not on the side.
+    # Errors are reported below, not in a log.
     extra("nptdms.log", "logs", "Reading TDMS").log_manager.set_level(logging.CRITICAL)
     table = Table(source=path.name)
-    # An open file, not its path: an index beside it, which may be of another file, is then left alone.
+    # An open file, not its path: an index file beside it may belong to another file.
     with path.open("rb") as raw:
         file = nptdms.TdmsFile.open(raw)
         if file.file_status.incomplete_final_segment:
@@ -303,7 +303,7 @@ def read_tdms(path: Path) -> Table:
 
 
 def _find_begin(channel: Any) -> np.datetime64 | None:
-    """Return the first instant of a waveform, or of a channel of instants."""
+    """Return the first instant of a waveform or of instants."""
     if not len(channel):
         return None
     begin = channel.read_data(0, 1)[0] if np.dtype(channel.dtype).kind == "M" else channel.properties.get(_START)

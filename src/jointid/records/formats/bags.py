@@ -1,10 +1,10 @@
-"""Logs of several files: ROS 2 bags, folders of texts that share a clock, and LeRobot data sets.
+"""Logs of several files: ROS 2 bags, folders of texts, and LeRobot data sets.
 
 A bag is a folder or a file (MCAP or SQLite), with one clock per topic. The library rosbags reads the files and parses
-the definitions of messages. It would compile these to Python code and run it, so messages (CDR version 1 of the Object
-Management Group) are walked through here, by interpretation. Messages of the same lengths and joint names have their
-numbers at the same bytes, and are read without a further walk. Every length is checked against the available bytes, and
-every message against a budget.
+the message definitions. It would compile these to Python code and run it, so messages (CDR version 1 of the Object
+Management Group) are interpreted here instead. Messages with equal lengths and joint names have their numbers at the
+same bytes, and are read by the layout of the first one. Every length is checked against the available bytes, and every
+message against a budget.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ _SIZES = {kind: struct.calcsize("=" + code) for kind, code in _NUMBERS.items()}
 _INSTANT = "iI"  # seconds and nanoseconds
 _TIME = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _NAMING = ("name", "names", "joint_names", "interface_names")
-_OF_ITS_OWN = ("data", "values")  # fields that go by the name of what holds them
-_BUDGET, _DEEPEST = 20_000, 16  # fields of one message, messages within messages
+_OF_ITS_OWN = ("data", "values")  # fields that are named by their parent
+_BUDGET, _DEEPEST = 20_000, 16  # fields of one message, levels of nested messages
 _MOTORS = 64  # messages of an array without names; more are no motors of a robot
 _WIDEST_ARRAY, _WIDEST_TOPIC = 256, 1000  # columns of an array without names (a longer one is a picture), of a topic
 _TOPICS = 2000  # of a file; the library compares each with all
-_RECENT = 8  # layouts of messages that are tried
+_RECENT = 8  # message layouts that are kept
 _HEADER = 4  # bytes before a message: its encoding
-_DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before counts from some beginning
+_DATE = 2**58  # nanoseconds, nine years: later stamps are dates, earlier ones are relative
 _SQLITE = b"SQLite format 3\0"
-_COMPUTED = re.compile(r"\bAS\b", re.IGNORECASE)  # of a column that is generated, and of a table by a query
+_COMPUTED = re.compile(r"\bAS\b", re.IGNORECASE)  # in the SQL of generated columns and of tables from queries
 _DIGITS = re.compile(r"(\d+)")
 
 Place: TypeAlias = tuple[int, str]
-"""First byte of a number, an instant or a text in a message, and its code."""
+"""First byte of a number, instant or text in a message, and its `struct` code."""
 
 Node: TypeAlias = Any
-"""What a field of a message is: a place, a message (dict of nodes), or a list of nodes."""
+"""A field of a message: a place, a message (dict of nodes), or a list of nodes."""
 
 Types: TypeAlias = Mapping[str, Any]
-"""Definitions of messages as rosbags parses them, by the names of their types."""
+"""Message definitions parsed by rosbags, by type name."""
 
 _INFO, _DATA, _JOINTS = "meta/info.json", "data/*/*.parquet", "joint_list.txt"
 _ELEMENT = re.compile(r"(.*)\[(\d+)\]")
@@ -68,7 +68,7 @@ _LARGEST = 2**20  # bytes of a list of names
 
 
 def read_bag(path: Path) -> Table:
-    """Read every topic of numbers: columns, and the clock "/topic/time".
+    """Read the numbers of all topics, each with a clock "/topic/time".
 
     Joint states are "/topic/joint/position", likewise velocity and effort; single numbers "/topic", arrays "/topic[0]",
     other fields their path, if the bag has the definition. The clock is the header stamp or else the log time, in
@@ -111,10 +111,10 @@ class _Topic:
     """The messages of one topic.
 
     Attributes:
-        names: of all numbers, in their order; the empty one is of the header's stamps.
+        names: of all numbers, in order; the empty name is that of header stamps.
         logged: log times in nanoseconds.
-        recent: layouts of messages: definitions and size, what reads the fixed bytes and the numbers, and whereto.
-        numbers: by paths with their codes the rows of messages, and their numbers.
+        recent: message layouts: definitions and size, readers of fixed bytes and of numbers, and their target lists.
+        numbers: row indices and numbers of messages, by paths with codes.
     """
 
     kind: str
@@ -148,7 +148,7 @@ class _Topic:
         self.logged.append(time)
 
     def columns(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], dict[str, np.ndarray[Any, np.dtype[np.float64]]]]:
-        """Return the stamps in nanoseconds, in their order, and the columns."""
+        """Return the sorted stamps in nanoseconds, and the columns."""
         logged = np.array(self.logged, dtype=np.int64)
         stamped, order = np.zeros_like(logged), np.argsort(logged, kind="stable")
         columns = {name: np.full(logged.size, np.nan) for name in self.names if name}
@@ -168,10 +168,10 @@ class _Topic:
 
 
 class Walk:
-    """A way through the bytes of one message, from front to back, aligned from the end of its header.
+    """A sequential parser of one message, aligned from its header's end.
 
     Attributes:
-        fixed: places of the lengths and names by which others of its layout are known.
+        fixed: places of the lengths and names that define its layout.
 
     Raises:
         ValueError: invalid bytes, an unknown type, or too many parts.
@@ -193,21 +193,21 @@ class Walk:
         return {key: self.member(shape.name, described, deep) for key, (shape, described) in fields}
 
     def member(self, shape: str, described: Any, deep: int) -> Node:
-        """Walk through a field: a value (BASE, NAME), so many of them (ARRAY), or any number (SEQUENCE)."""
+        """Walk through a field: a value (BASE, NAME), ARRAY or SEQUENCE."""
         if shape in ("BASE", "NAME"):
             return self.value(described[0] if shape == "BASE" else described, deep)
         (inner, kind), length = described
         kind = kind[0] if inner.name == "BASE" else kind
         count, size = length if shape == "ARRAY" else self.length(), _SIZES.get(kind, 1)
         if kind in _SIZES and (size == 1 or count > _WIDEST_ARRAY):  # bytes, or a picture
-            self.skip(size if count else 1, size * count)  # nothing is not aligned
+            self.skip(size if count else 1, size * count)  # empty sequences are not aligned
             return []
         if count > len(self.data) - self.at:  # each is a byte long at least
             raise ValueError("a message of it is shorter than it says")
         return [self.value(kind, deep) for _ in range(count)]
 
     def value(self, kind: str, deep: int) -> Node:
-        """Walk through a value: a number, a text, an instant or a message."""
+        """Walk through a value: number, text, instant or message."""
         if kind in _SIZES:
             return self.skip(_SIZES[kind], _SIZES[kind]), _NUMBERS[kind]
         if kind == "string":
@@ -216,12 +216,12 @@ class Walk:
         return (self.skip(4, 8), _INSTANT) if kind in _TIME else self.message(kind, deep + 1)
 
     def length(self) -> int:
-        """Read the length of a text or a sequence, which tells layouts apart."""
+        """Read the length of a text or sequence, which distinguishes layouts."""
         self.fixed.append((self.skip(4, 4), "I"))
         return int(struct.unpack_from(f"{self.order}I", self.data, self.at - 4)[0])
 
     def skip(self, size: int, length: int) -> int:
-        """Skip what aligns to a size, and so many bytes; return where these begin."""
+        """Skip alignment to a size, then `length` bytes; return their start."""
         self.budget -= 1
         start = self.at + (_HEADER - self.at) % size
         self.at = start + length
@@ -230,7 +230,7 @@ class Walk:
         return start
 
     def pick(self, places: Iterable[Place]) -> struct.Struct:
-        """Build the structure that reads these places, in byte order."""
+        """Build the `struct` that reads places, in byte order."""
         text, at = self.order, 0
         for start, code in places:
             text += f"{start - at}x{code}"
@@ -267,14 +267,14 @@ class Walk:
 
 
 def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
-    """Yield topic, type, definitions, log time in nanoseconds and bytes of each message in CDR."""
+    """Yield topic, type, definitions, log time [ns] and bytes of CDR messages."""
     from rosbags.rosbag2 import Reader
 
     with file.open("rb") as raw:
         is_database = raw.read(len(_SQLITE)) == _SQLITE
     if is_database:
         _require_plain(file)
-    # The library puts the path of a database into an address as it is.
+    # The library inserts the path of a database into a URI unescaped.
     place = Path(quote(str(file.absolute()), safe="/:\\")) if is_database else file
     storage = Reader.STORAGE_PLUGINS[".db3" if is_database else ".mcap"](place)
     storage.open()
@@ -289,7 +289,7 @@ def _read_messages(file: Path) -> Iterator[tuple[str, str, Types, int, bytes]]:
 
 
 def _require_plain(file: Path) -> None:
-    """Refuse a database with computed tables, which could be of any size."""
+    """Refuse a database with computed content, whose size is unbounded."""
     place = f"file:{quote(str(file.absolute()), safe='/:')}?mode=ro&immutable=1"
     with closing(sqlite3.connect(place, uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**26)
@@ -300,7 +300,7 @@ def _require_plain(file: Path) -> None:
 
 @cache
 def message_types(name: str, text: str) -> Types:
-    """Definitions of a message type and its dependencies, if known; an empty text selects ROS's own definition."""
+    """Return the definitions of a message type and its dependencies."""
     from rosbags.typesys import TypesysError, get_types_from_msg
     from rosbags.typesys.stores.ros2_humble import FIELDDEFS
 
@@ -311,20 +311,20 @@ def message_types(name: str, text: str) -> Types:
 
 
 def is_record(path: Path) -> bool:
-    """Whether a folder holds a record of several files, and no bag."""
+    """Test whether a folder holds a record of several files, not a bag."""
     try:
         suffixes = {file.suffix.lower() for file in path.iterdir()} if path.is_dir() else set()
         return (path / _INFO).is_file() or (".csv" in suffixes and suffixes.isdisjoint((*SUFFIXES, ".zstd")))
-    except OSError:  # one that may not be looked into
+    except OSError:  # no permission
         return False
 
 
 def read_folder(path: Path) -> Table:
-    """Read the columns of each text as "file/column", with the clock of their file; or a LeRobot data set.
+    """Read a folder of texts, as "file/column", or a LeRobot data set.
 
-    Files without a clock, and those with nothing beside it, are passed over. Where joint_list.txt names the joints,
-    "positions[0]" is "positions/joint". Of a data set the Parquet files are joined one behind the other,
-    "observation.state[0]" is called "observation.state.joint".
+    Each file has its own clock; files without a clock or another column are skipped. If joint_list.txt names the
+    joints, "positions[0]" becomes "positions/joint". A data set's Parquet files are concatenated, and
+    "observation.state[0]" becomes "observation.state.joint".
     """
     if (path / _INFO).is_file():
         return _read_data_set(path)
@@ -351,7 +351,7 @@ def _read_names(file: Path) -> str:
 
 
 def _rename(column: str, mark: str, joints: Any) -> str:
-    """Return the name of a column, an element of a list by its joint, where the joints have names of their own."""
+    """Replace the index in a column's name by that joint's unique name."""
     if type(joints) is dict and len(joints) == 1:  # such as {"motors": [...]}
         (joints,) = joints.values()
     element, names = _ELEMENT.fullmatch(column), joints if type(joints) is list else []

@@ -1,4 +1,4 @@
-"""JSON lines: a record on each line."""
+"""JSON lines: one object per line."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from jointid.records.formats.text import number_lines
 
 
 def read_json(path: Path) -> Table:
-    """Read the numbers of a record on each line (.jsonl, .ndjson); null, and what a record lacks, is NaN.
+    """Read the numbers of JSON lines (.jsonl, .ndjson); missing ones are NaN.
 
-    Values within values go by their path, "joint.position" or "q[0]"; words, true and false are passed over.
+    Nested values are named by path, "joint.position" or "q[0]". Null is NaN; words, true and false are skipped.
     """
     table, rows = Table(source=path.name), 0
     columns: dict[str, array[float]] = {}
@@ -42,7 +42,7 @@ def read_json(path: Path) -> Table:
 
 
 def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the values within a value, by their paths."""
+    """Yield nested values by path."""
     if type(value) is dict:
         for key, member in value.items():
             yield from _leaves(f"{name}.{key}" if name else key, member)

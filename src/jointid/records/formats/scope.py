@@ -1,4 +1,4 @@
-"""TwinCAT Scope text export: channel properties, then a time column per group.
+"""TwinCAT Scope text export: channel properties, then columns by group.
 
 Groups of different sample times have their own time columns, and short ones end early. Layout: Beckhoff, TE13xx Scope
 View manual, "Export to CSV".
@@ -23,10 +23,10 @@ _ROWS = frozenset({
     "Unit Offset", "StartTime", "EndTime",
 })  # fmt: skip
 _OF_EXPORT = ("Starttime of export", "StartRecord", "SampleTime[ms]", "SymbolName", "Data-Type")
-_LOOK = 200  # lines within which the channels are named
+_LOOK = 200  # most lines of the header
 _TICKS = 10_000  # of a FILETIME (100 ns) in 1 ms
-_FILETIME = re.compile(r"\d{17,18}")  # the years 1917 to 4769; what has less is ms since the start
-_OFF = 0.1  # of the sample time, that the time column's step may differ from it
+_FILETIME = re.compile(r"\d{17,18}")  # the years 1917 to 4769; shorter numbers are ms since the start
+_OFF = 0.1  # of the sample time: tolerance of the time column's step
 _SYMBOLS = {"°": "deg", "°/s": "deg/s", "1/min": "rpm"}
 
 
@@ -40,14 +40,14 @@ def is_scope(lines: Sequence[str]) -> bool:
 def read_scope(path: Path, lines: Sequence[str], decimal: str | None = None) -> Table:
     """Read an export, each column with its own clock.
 
-    Times are in ms, FILETIMEs relative to the first. `Offset` is for display only. None detects the decimal mark.
+    Times are in ms, FILETIMEs relative to the first. `Offset` is for display only. `decimal` is detected if None.
     """
     mark = lines[0][4]
     head = [[cell.strip() for cell in line.split(mark)] for line in lines[:_LOOK]]
     top = max(i for i, cells in enumerate(head) if cells[0] == "Name")
     first = next((i for i in range(top, len(head)) if head[i][0] not in _ROWS), len(head))
     said, width = {cells[0]: cells for cells in head[top:first]}, len(head[top])
-    # Beside a full header a channel may be called "Name" too: its other rows are then not their keys.
+    # A channel may be called "Name", too; its other header rows then differ from their keys.
     is_key = [all(len(cells) <= c or cells[c] == key for key, cells in said.items()) for c in range(width)]
     starts = [c for c, cell in enumerate(said["Name"]) if cell == "Name" and is_key[c]]
     groups = list(map(range, starts, (*starts[1:], width)))
@@ -66,14 +66,14 @@ def read_scope(path: Path, lines: Sequence[str], decimal: str | None = None) -> 
         ) from error
     clocks = [values[~np.isnan(values[:, start]), start] for start in starts]
     alike = len({clock.tobytes() for clock in clocks}) == 1
-    # The names of the symbols tell channels apart that have the same name.
+    # Symbol names distinguish channels with equal names.
     names = [cell for group in groups for cell in said["Name"][group[1] : group.stop]]
     naming = "Name" if len(set(names)) == len(names) and all(names) else "SymbolName"
     table = Table(source=path.name)
     for group, clock in zip(groups, clocks, strict=True):
         described = [{key: cells[c] for key, cells in said.items() if c < len(cells)} for c in group[1:]]
         numbers, called = values[: clock.size, group.start : group.stop], [_name(one, naming) for one in described]
-        # Rows that repeat the one before are the export's padding.
+        # The export pads short columns by repeating the last row.
         numbers = numbers[np.any(np.diff(numbers, axis=0, prepend=np.nan) != 0, axis=1)]
         step = np.median(np.diff(numbers[:, 0])) if len(numbers) > 1 else np.nan
         stated = step
@@ -93,7 +93,7 @@ def read_scope(path: Path, lines: Sequence[str], decimal: str | None = None) -> 
 
 
 def _name(said: Mapping[str, str], naming: str) -> str:
-    """Return a channel's name and, in brackets, its unit if stated.
+    """Return a channel's name with its stated unit in brackets.
 
     The file does not say whether the values are scaled, so an unknown unit has to be declared.
     """
@@ -106,17 +106,17 @@ def _name(said: Mapping[str, str], naming: str) -> str:
 
 
 def _parse(rows: Sequence[str], mark: str, width: int, starts: Sequence[int], point: str) -> FloatArray:
-    """Return the numbers of all columns, (rows, columns), NaN where a cell is empty.
+    """Return all numbers, (rows, columns), with NaN for empty cells.
 
     Raises:
-        ValueError: a cell is no number.
+        ValueError: a cell is not a number.
     """
     values, stamps = np.full((len(rows), width), np.nan), dict(enumerate(map(str.strip, rows[0].split(mark))))
     origin = min((int(stamps[c]) for c in starts if _FILETIME.fullmatch(stamps.get(c, ""))), default=0)
     for row, line in zip(values, rows, strict=True):
         for column, cell in enumerate(map(str.strip, line.split(mark)[:width])):
             if cell and origin and column in starts:
-                row[column] = (int(cell) - origin) / _TICKS  # as a float it would lose its last digits
+                row[column] = (int(cell) - origin) / _TICKS  # a float would lose the last digits
             elif cell:
                 row[column] = float(cell if point == "." else cell.replace(".", "?").replace(",", "."))
     return values

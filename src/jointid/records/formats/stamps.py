@@ -1,6 +1,6 @@
-"""Instants written as text: ISO 8601 and its neighbours with a date, and times of day.
+"""Instants written as text: ISO 8601, similar dates, times of day.
 
-They count in nanoseconds, since a float keeps too few digits of a date, and become seconds from the first one.
+They are counted in nanoseconds, since floats have too few digits for dates, and become seconds from the first one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _SECOND, _DAY, _HOUR = 10**9, 86400 * 10**9, 3600 * 10**9
 
 
 def is_stamp(cell: str) -> bool:
-    """Test for an instant: a date with a time, or a time of day."""
+    """Test for an instant: a date with time, or a time."""
     return _match(cell) is not None
 
 
@@ -39,8 +39,8 @@ class Stamps(NamedTuple):
     """A column of instants.
 
     Attributes:
-        origin: from which it counts [ns].
-        period: after which the instants begin again [ns], as at midnight; 0 with a date.
+        origin: zero of the seconds [ns].
+        period: period after which instants repeat [ns], such as a day; 0 with a date.
         day_first: whether "1/2/2026" is in February.
     """
 
@@ -52,14 +52,14 @@ class Stamps(NamedTuple):
         """Return the seconds since the origin, shape (cells,); NaN for empty cells.
 
         Raises:
-            ValueError: a cell is no instant.
+            ValueError: a cell is not an instant.
         """
         read = [_read(cell, self.day_first) for cell in cells if cell]
         if any(period != self.period for _, period in read):
             raise ValueError("some have a date, and some have none")
         counts = np.array([count for count, _ in read])
         steps = np.diff(counts, prepend=self.origin)
-        steps[0] = -self.period * (steps[0] < 0)  # rows that are read later begin behind the origin
+        steps[0] = -self.period * (steps[0] < 0)  # later blocks may start in another period
         begun_again = np.cumsum(2 * steps < -self.period) if self.period else 0
         seconds = np.full(len(cells), np.nan)
         seconds[[bool(cell) for cell in cells]] = (counts - self.origin + begun_again * self.period) / _SECOND
@@ -67,16 +67,16 @@ class Stamps(NamedTuple):
 
 
 def find_stamps(cells: Sequence[str]) -> Stamps:
-    """Return the column that begins with these cells.
+    """Determine the format of a column of instants from its first cells.
 
-    Day and month are in the order that gives the record the shorter duration.
+    Day and month are in the order that gives the shorter duration.
 
     Raises:
-        ValueError: a cell is no instant.
+        ValueError: a cell is not an instant.
     """
     spans, begin = list[tuple[float, Stamps]](), next(filter(None, cells), "")
     for day_first in (True, False):
-        with suppress(ValueError):  # there may be no such month
+        with suppress(ValueError):  # the month may be invalid
             made = Stamps(*_read(begin, day_first), day_first)
             seconds = made.seconds(cells)
             spans.append((float(np.nanmax(seconds) - np.nanmin(seconds)), made))
@@ -94,7 +94,7 @@ def _match(cell: str) -> re.Match[str] | None:
 
 
 def _read(cell: str, day_first: bool) -> tuple[int, int]:
-    """Return the nanoseconds of an instant, from midnight or from 1970, and its period."""
+    """Return the nanoseconds of an instant, and its period."""
     found = _match(cell)
     if found is None:
         raise ValueError(cell)

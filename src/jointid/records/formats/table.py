@@ -1,4 +1,4 @@
-"""Tables of columns, common to all formats, and bounds on what a file may hold."""
+"""Tables of columns, common to all formats, and bounds on their size."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from jointid.common.errors import RecordError
 from jointid.common.text import short
 
 WHOLE = 2**30
-"""Bytes of numbers that are read at once, 1 GiB: 13 columns of 10 million rows; reading them may take twice that."""
+"""Most bytes of numbers of a table, 1 GiB: 13 columns of 10 million rows. Reading may take twice that."""
 
 WIDEST = 10_000
-"""Columns that are read of a file: no drive logs so many, and each is an array of its own."""
+"""Most columns of a table, each of which is a separate array; no drive logs so many."""
 
 TIME_NAME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
-"""Name by which a column is taken for the time without being named as such."""
+"""Name of a column that is the time by default."""
 
 STAMP_NAME = re.compile(r"(?:t|time|timestamps?|stamps?|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
-"""Name by which a column of a log is recognised as its time, in a file of several or where a file is looked over."""
+"""Name of a column that is recognised as time in an inspected file, or in a log of several files."""
 
-_FEW = 3  # things passed over that a sentence names
+_FEW = 3  # skipped columns that a sentence names
 _QUOTED = 100  # characters of a name
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
-_WIDEST_MATRIX = 1000  # columns of a matrix; one that is wider is a picture
-_REAL, _INSTANTS = "fiub", "mM"  # kinds of NumPy's types that become numbers
-_KINDS = {"U": "text", "S": "text", "c": "complex numbers"}  # some that do not
+_WIDEST_MATRIX = 1000  # most columns of a matrix; a wider one is a picture
+_REAL, _INSTANTS = "fiub", "mM"  # NumPy kinds that are converted to numbers
+_KINDS = {"U": "text", "S": "text", "c": "complex numbers"}  # kinds that are not
 
 
 @dataclass(slots=True, eq=False)
@@ -38,16 +38,16 @@ class Table:
     """The numbers of one file, by name.
 
     Attributes:
-        columns: name -> values of shape (samples,), in file order, read-only, NaN where the file has no
-            number; the columns of one file can differ in length.
+        columns: name -> values of shape (samples,), in file order, read-only, NaN for missing
+            numbers; the columns of one file can differ in length.
         source: the file's name, for reports and errors.
-        units: name -> unit of a column, as the file spells it, where the format keeps such and the file has one.
-        passed: name -> why it was not read, of what looks like a column and is none.
-        clocks: name of a column -> that of its own time column, where the file has several clocks.
-        numbers: count of the values of all columns.
+        units: name -> unit of a column in the file's spelling, if stated.
+        passed: name -> reason for skipping this content.
+        clocks: name of a column -> name of its time column, in a file with several clocks.
+        numbers: number of values of all columns.
 
     Raises:
-        RecordError: a column is not one-dimensional, or holds nothing.
+        RecordError: a column is not one-dimensional, or is empty.
     """
 
     columns: dict[str, FloatArray] = field(default_factory=dict)
@@ -63,13 +63,13 @@ class Table:
             self.add(name, values if not values.flags.writeable else values.copy())
 
     def take(self, name: str, array: np.ndarray[Any, Any], unit: str = "") -> None:
-        """Add the columns of an array, or why it is passed over; a single number is a column of one row."""
+        """Add the columns of an array, or the reason for skipping it."""
         require_room(self.source, self.numbers + array.size * len(array.dtype.names or " "))
         for column, view in find_columns(name, array, self.passed).items():
             self.add(column, to_numbers(view), unit)
 
     def add(self, name: str, values: FloatArray, unit: str = "", clock: str = "") -> None:
-        """Add a column that nobody else changes; it becomes read-only."""
+        """Add a column, which becomes read-only; the caller must not change it."""
         if name in self.columns:
             raise RecordError(f"{self.source} has more than one column called {name!r}; rename them.")
         values = np.asarray(values, dtype=np.float64)
@@ -83,10 +83,10 @@ class Table:
         self.clocks |= {name: clock} if clock else {}
 
     def require_numbers(self) -> Table:
-        """Return the table.
+        """Return the table if it holds numbers.
 
         Raises:
-            RecordError: there is no number.
+            RecordError: the table is empty.
         """
         if not self.columns:
             listed = "; ".join(f"{name!r}: {why}" for name, why in list(self.passed.items())[:_FEW])
@@ -101,18 +101,18 @@ class Table:
         return (", ".join(f'"{short(name, _QUOTED)}"' for name in names[:_LISTED]) or "none") + rest
 
     def explain_missing(self, names: Iterable[str]) -> str:
-        """Return in brackets why columns of these names are not there, as far as it is known."""
+        """Return the known reasons for missing columns, in brackets."""
         known = [self.passed[name] for name in names if name in self.passed]
         return f" ({'; '.join(known)})" if known else ""
 
     @property
     def rows(self) -> int:
-        """Count of rows: the length of the longest column."""
+        """Number of rows of the longest column."""
         return max((values.size for values in self.columns.values()), default=0)
 
 
 def join_tables(tables: Iterable[Table]) -> Table:
-    """Concatenate tables; a column that one of them lacks is passed over."""
+    """Concatenate tables; drop columns that are not in all of them."""
     every, numbers = list[Table](), 0
     for table in tables:
         every.append(table)
@@ -129,10 +129,10 @@ def join_tables(tables: Iterable[Table]) -> Table:
 
 
 def find_columns(name: str, array: np.ndarray[Any, Any], passed: dict[str, str]) -> dict[str, np.ndarray[Any, Any]]:
-    """Return the columns of an array as views, by name, or note why it is passed over.
+    """Return an array's columns as views by name, or a reason.
 
-    The samples run along the longest side, the first one of a square. Sides of one number do not count: an array
-    1 x 1 x N is a column. A record array gives "name.field". The columns of a matrix without a name are "1", "2", ...
+    Samples are along the longest axis, the first one of a square. Axes of length 1 are ignored: an array 1 x 1 x N is
+    a column. A record array gives "name.field". The columns of an unnamed matrix are "1", "2", ...
     """
     if array.dtype.names:
         parts = ((f"{name}.{part}" if name else part, array[part]) for part in array.dtype.names)
@@ -152,7 +152,7 @@ def find_columns(name: str, array: np.ndarray[Any, Any], passed: dict[str, str])
 
 
 def to_numbers(values: np.ndarray[Any, Any], first: np.ndarray[Any, Any] | None = None) -> FloatArray:
-    """Return values as numbers; instants as seconds since the `first` one, durations as seconds."""
+    """Convert values to numbers, instants and durations to seconds."""
     if values.dtype.kind not in _INSTANTS:
         return values.astype(np.float64)
     if values.dtype.kind == "M":
@@ -162,7 +162,7 @@ def to_numbers(values: np.ndarray[Any, Any], first: np.ndarray[Any, Any] | None 
 
 
 def require_room(source: str, numbers: int, columns: int = 0) -> None:
-    """Refuse a file that declares too many numbers to be read at once, or too many columns."""
+    """Refuse a file that declares too many numbers or columns."""
     if 8 * numbers > WHOLE or columns > WIDEST:
         raise RecordError(
             f"{source} declares {8 * numbers / 2**30:.3g} GiB of numbers, or {columns} columns (at most 1 GiB and "

@@ -1,6 +1,6 @@
 """Delimited text: any delimiter and decimal mark, names, comments or preamble.
 
-Every dialect is tried on the last lines. The one under which most of them are rows of one kind is chosen.
+Every dialect is tried on the last lines. The one that gives most rows of one kind is chosen.
 """
 
 from __future__ import annotations
@@ -30,33 +30,33 @@ from jointid.records.formats.scope import is_scope, read_scope
 from jointid.records.formats.stamps import Stamps, find_stamps, is_stamp
 from jointid.records.formats.table import TIME_NAME, Table, require_room
 
-_BLANKS = " "  # the delimiter that stands for any run of blanks
-_COMMA_BLANK = ", "  # the delimiter beside decimal commas that is a comma with a blank behind it
-_DELIMITERS = (_COMMA_BLANK, ";", "\t", "|", ",", _BLANKS)  # of dialects that read a file alike, the first is taken
-_DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, of a name, of a line end
-_REMARKS = ("#", "%", "//", "sep=")  # "sep=;" is a note from one spreadsheet program to another
-_BEGINNING = 2**20  # characters that tell how a file is written
-_CELLS = 2**19  # that are read together
+_BLANKS = " "  # any run of blanks
+_COMMA_BLANK = ", "  # comma and blank, beside decimal commas
+_DELIMITERS = (_COMMA_BLANK, ";", "\t", "|", ",", _BLANKS)  # in order of preference
+_DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # no part of a number, name or line end
+_REMARKS = ("#", "%", "//", "sep=")  # "sep=;" is a note between spreadsheet programs
+_BEGINNING = 2**20  # characters that determine the dialect
+_CELLS = 2**19  # cells of a block
 _LONGEST = 2_500_000  # characters of a line: more than the widest table has
-_SAMPLE = 200  # lines that decide, from the end, where the data is
-_FILLED = 1000  # cells that tell what a column holds
+_SAMPLE = 200  # last lines, on which dialects are tried
+_FILLED = 1000  # cells that determine a column's kind
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
     ".": re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
-    # Digits must follow a decimal comma, so that "1, 2" is never a number and a blank.
+    # Digits must follow a decimal comma, so that "1, 2" is never one number.
     ",": re.compile(r"[+-]?(?:\d+(?:,\d+)?" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
 }
-# A cell cut at the wrong mark, and no date.
+# Part of a number that was split at the wrong mark; not a date.
 _SPLIT_NUMBER = re.compile(r"(?!\d\d?\.\d\d?\.\d{4}$)[\d\s.,;'|+-]*[.,;'|][\d\s.,;'|+-]*", re.ASCII)
-_SEPARATOR = re.compile(r"\s*,\s*|\s+")  # of the numbers of a list in a cell
+_SEPARATOR = re.compile(r"\s*,\s*|\s+")  # of numbers in a list in a cell
 _NO_UNIT = ("", "-")
 _OTHER_UNITS = frozenset({
     "µV", "uV", "kV", "µA", "uA", "kA", "W", "kW", "VA", "MHz", "°C", "degC", "C", "K", "bar", "Pa", "J", "dB", "ppm",
     "m/s²", "m/s^2", "m/s2", "rad/s²", "rad/s2", "LU", "Inkr", "Inkr.", "Arms", "Aeff", "A_eff", "A rms", "Apk", "Vrms",
 })  # fmt: skip
-_UNSURE = ((",", "n"), (".", "nn"))  # decimal marks and columns by which "1,5" can be read
-_NOWHERE = "\x1f"  # a delimiter between cells that are numbers by themselves
-_RUN = ("=", "+", "-", "@")  # with these a cell begins that a spreadsheet program takes for a formula
+_UNSURE = ((",", "n"), (".", "nn"))  # the two readings of "1,5": decimal mark and column kinds
+_NOWHERE = "\x1f"  # delimiter of cells that are already split
+_RUN = ("=", "+", "-", "@")  # first characters of formulas in spreadsheet programs
 
 
 def _check_delimiter(mark: object) -> None:
@@ -86,13 +86,13 @@ class TextOptions:
 
 
 class Dialect(NamedTuple):
-    """How lines are read.
+    """Rules for splitting and reading lines.
 
     Attributes:
         delimiter: a character, `_BLANKS` or `_COMMA_BLANK`.
         decimal: the decimal mark.
         kinds: a letter for each column: number, list of numbers, time or word.
-        rows: how many of the lines that were looked at are rows of these kinds.
+        rows: number of sample lines that are rows of these kinds.
     """
 
     delimiter: str
@@ -101,7 +101,7 @@ class Dialect(NamedTuple):
     rows: int = 0
 
     def split(self, line: str) -> list[str]:
-        """Split a line into cells, without blanks and quotes; a quote without end makes one cell."""
+        """Split a line into stripped cells; an unclosed quote makes one cell."""
         cells = [line]
         if self.delimiter == _COMMA_BLANK:
             return [cell.strip(' \t"') for cell in re.split(r",[ \t]+", line)]
@@ -125,13 +125,13 @@ class Dialect(NamedTuple):
         return "".join(map(self.kind, self.split(line)))
 
     def is_row(self, line: str) -> bool:
-        """Test for a row: its cells hold what their columns do, or nothing."""
+        """Test for a row: each filled cell has its column's kind."""
         found = self.kinds_of(line)
         known = [(one, kind) for one, kind in zip(found, self.kinds, strict=False) if kind != "w" and one != "e"]
         return len(found) == len(self.kinds) and bool(known) and all(one == kind for one, kind in known)
 
     def with_points(self, text: str) -> str:
-        """Write decimal points, and something else for a point beside decimal commas, which makes no number."""
+        """Write decimal points, with invalid marks for points beside decimal commas."""
         return text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
 
     def rewrite(self, cells: Sequence[str], kinds: str) -> str:
@@ -146,7 +146,7 @@ class Layout:
 
     Attributes:
         closed: whether the rows end with a delimiter.
-        stamps: how the columns of instants count, by name, as the first rows that are read have them.
+        stamps: formats of the columns of instants, by name, found in the first rows.
         passed: see `Table`.
     """
 
@@ -161,10 +161,10 @@ class Layout:
         """Parse rows."""
         dialect, kinds, width = self.dialect, self.dialect.kinds[: len(self.names)], len(self.names)
         texts = [line.rstrip(_BLANKS).removesuffix(dialect.delimiter) for line in lines] if self.closed else lines
-        if dialect.decimal == "." or not set(kinds) - set("nw"):  # points of instants are no decimal marks
+        if dialect.decimal == "." or not set(kinds) - set("nw"):  # points in instants are kept
             with suppress(ValueError, TypeError):
                 return self._load([dialect.with_points(text) for text in texts], dialect.delimiter, kinds)
-        # Quotes, an empty cell, other kinds than at the end of the file, or a fault: only the slow way can tell.
+        # Slow path for quotes, empty cells, kinds that differ from the end of the file, and faults.
         rows = list(map(dialect.split, texts))
         if all(len(row) == width for row in rows):
             columns = zip(*rows, strict=True)
@@ -180,10 +180,10 @@ class Layout:
         )
 
     def _load(self, texts: Sequence[str], mark: str, kinds: str) -> Table:
-        """Return the table of rows whose numbers have points.
+        """Return the table of rows with decimal points.
 
         Raises:
-            ValueError: a row has another width, or a cell is of another kind.
+            ValueError: a row has another width, or a cell another kind.
         """
         cells = {k: list[str]() for k, kind in enumerate(kinds) if kind in "lt"}
         converters: dict[int | str, Callable[[str], float]] = {
@@ -204,7 +204,7 @@ class Layout:
                 try:
                     lists = np.array([_SEPARATOR.split(cell[1:-1].strip()) for cell in cells[k]], dtype=np.float64)
                 except ValueError:
-                    if mark != _NOWHERE:  # the slow way may tell
+                    if mark != _NOWHERE:  # the slow path decides
                         raise
                     table.passed[name] = "its lists are empty, of several lengths, or hold text"
                     continue
@@ -228,18 +228,18 @@ class Layout:
 
 
 def _keep(cells: list[str] | None, cell: str) -> float:
-    """Keep a cell that is no number."""
+    """Store a cell that is not a number; return NaN."""
     if cells is not None:
         cells.append(cell.strip())
     return math.nan
 
 
 def read_text(path: Path, rows: int | None, **options: Any) -> Iterator[Table]:
-    """Read delimited text (CSV, TSV and their kin) in UTF-8, in UTF-16 with a byte order mark, or in Latin-1.
+    """Read delimited text (CSV, TSV) in UTF-8, UTF-16 or Latin-1.
 
-    The line above the first row of numbers names the columns, be it a comment; a line of units between them
-    is joined to the names ("torque [N m]"). A column without a name is called by its number, from "1".
-    Empty cells are NaN. The first MiB determines the dialect. An export of TwinCAT Scope is known by its header.
+    The line above the first row of numbers, possibly a comment, names the columns; a line of units between them
+    is joined to the names ("torque [N m]"). Unnamed columns are numbered from "1". Empty cells are NaN. The first MiB
+    determines the dialect. UTF-16 needs a byte order mark. An export of TwinCAT Scope is recognised by its header.
     """
     said, beginning, size = TextOptions(**options), list[str](), 0
     lines = (line for _, line in number_lines(path) if line and not line.isspace())
@@ -258,12 +258,12 @@ def read_text(path: Path, rows: int | None, **options: Any) -> Iterator[Table]:
 
 
 def open_text(path: Path) -> IO[bytes]:
-    """Open the bytes of a text, which may be packed by gzip."""
+    """Open the bytes of a text, which may be compressed by gzip."""
     return gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb")  # type: ignore[return-value]
 
 
 def number_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a file of any length, from 1, in UTF-8, UTF-16 with byte order mark, or Latin-1."""
+    """Yield numbered lines of a file in UTF-8, UTF-16 or Latin-1."""
     with open_text(path) as raw:
         head = raw.read(_BEGINNING)
     encoding = "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
@@ -274,7 +274,7 @@ def number_lines(path: Path) -> Iterator[tuple[int, str]]:
     if "\0" in text:
         raise RecordError(f"{path.name} holds bytes that are no text; save it as CSV in UTF-8.")
     with open_text(path) as raw, io.TextIOWrapper(raw, encoding=encoding, errors="replace") as file:
-        # Not by iteration: a file may be one line that does not fit into memory.
+        # Not by iteration: a single line may not fit into memory.
         for number, line in enumerate(iter(lambda: file.readline(_LONGEST + 2), ""), start=1):
             if len(line) > _LONGEST:
                 raise RecordError(
@@ -288,13 +288,13 @@ def _is_remark(line: str) -> bool:
 
 
 def _find_layout(path: Path, beginning: Sequence[str], options: TextOptions) -> tuple[Layout, int]:
-    """Return the layout of a file, and the place of its first row."""
+    """Return the layout of a file, and the index of its first row."""
     lines = [*filterfalse(_is_remark, beginning)]
     dialect = _choose_dialect(path.name, lines, options)
     first = next(place for place, line in enumerate(lines) if dialect.is_row(line))
     start, mark = beginning.index(lines[first]), dialect.delimiter
     above = lines[max(first - 2, 0) : first] or [line for line in beginning[:start][-1:] if not line.startswith("sep=")]
-    # Where all rows end with the delimiter, their empty last cell is a column only if it has a name.
+    # If all rows end with the delimiter, the empty last cell is a column only if named.
     rows = lines[first:]
     closed = mark != _BLANKS and all(row.rstrip(_BLANKS).endswith(mark) for row in rows[:-1] or rows)
     names = _find_names(path.name, above, dialect, closed, options.header)
@@ -308,13 +308,13 @@ def _find_layout(path: Path, beginning: Sequence[str], options: TextOptions) -> 
 
 
 def _choose_dialect(file: str, lines: Sequence[str], options: TextOptions) -> Dialect:
-    """Choose the dialect that makes rows of most of the last lines; rows of numbers alone count double.
+    """Choose the dialect with most rows; rows of numbers count double.
 
-    "1,5" is ambiguous: two integers, or a decimal comma. A line of names decides, or else an option has to.
+    "1,5" is ambiguous: two integers, or a decimal comma. A line of names decides, or an option must.
     """
     sample, marks = lines[-_SAMPLE:], (options.delimiter,) if options.delimiter else _DELIMITERS
     tried = [Dialect(mark, point) for mark in marks for point in options.decimal or ".,"]
-    if not any('"' in line for line in sample):  # alone to keep a decimal comma and a delimiting one apart
+    if not any('"' in line for line in sample):  # only quotes separate decimal and delimiting commas
         tried = [dialect for dialect in tried if dialect.delimiter != dialect.decimal]
     fits = [fit for dialect in tried if (fit := _fit(dialect, sample)) is not None]
     if not fits:
@@ -332,14 +332,14 @@ def _choose_dialect(file: str, lines: Sequence[str], options: TextOptions) -> Di
                 'numbers; give decimal = "," or delimiter = ",".'
             )
         best = unsure["," in lines[first - 1]] or best
-    # A drive that stands still at the end logs whole numbers there: the decimal mark shows further up.
+    # At standstill, a drive may log whole numbers only: earlier lines then show the decimal mark.
     twins = [fit for fit in fits if (_rank(fit), fit.delimiter) == (_rank(best), best.delimiter)]
     marked = [line for line in lines if "." in line or "," in line] if len(twins) > 1 else []
     return max(twins, key=lambda fit: sum(map(fit.is_row, marked)))
 
 
 def _fit(dialect: Dialect, lines: Sequence[str]) -> Dialect | None:
-    """Return a dialect with its columns and rows; None where it makes no row, or cuts numbers at the wrong mark."""
+    """Return a dialect with its column kinds and rows, or None."""
     every = {line: kinds for line in lines if "n" in (kinds := dialect.kinds_of(line))}
     if not every:
         return None
@@ -361,13 +361,13 @@ def _rank(fit: Dialect) -> tuple[int, bool, int]:
 
 
 def _commonest(kinds: Iterable[str]) -> str:
-    """Return the commonest kind of the filled cells; numbers where there is none."""
+    """Return the commonest kind of filled cells; numbers if all are empty."""
     count = Counter(kinds)
     return max("nltw", key=lambda kind: count[kind])
 
 
 def _find_names(file: str, above: Sequence[str], dialect: Dialect, closed: bool, header: bool | None) -> list[str]:
-    """Cells of the last line above the rows, joined to those of the line over it; empty without names."""
+    """Return the column names above the rows, joined to units."""
     width = len(dialect.kinds)
     if header and not above:
         raise RecordError(f"{file} has no line above the numbers; leave header = true out.")
@@ -391,7 +391,7 @@ def _find_names(file: str, above: Sequence[str], dialect: Dialect, closed: bool,
     over = dialect.split(above[-2]) if len(above) > 1 else []
     units = [cell[1:-1] if cell[:1] + cell[-1:] in ("[]", "()") else cell for cell in names]
     bare = [cell for cell, one in zip(names, units, strict=True) if cell == one and cell not in _NO_UNIT]
-    # Under a remark, "m" alone is as well a name.
+    # Below a remark, a single "m" may also be a name.
     if len(over) != width or not any(units) or not all(map(_is_unit, bare)) or (width == 1 and bare):
         return names
     return [name if one in _NO_UNIT else f"{name} [{one}]" for name, one in zip(over, units, strict=True)]
@@ -406,8 +406,8 @@ def _is_unit(text: str) -> bool:
 def write_text(path: Path, table: Table, **options: Any) -> None:
     """Write delimited UTF-8 with round-trip precision.
 
-    Default delimiter and decimal mark are comma and point, or semicolon beside a decimal comma. Numbered columns
-    have no header. Names that would read as numbers or spreadsheet formulas are refused.
+    The default delimiter is a comma, or a semicolon beside a decimal comma. Numbered columns have no header. Names
+    that would be read as numbers or spreadsheet formulas are refused.
     """
     said = TextOptions(**options)
     mark, point = said.delimiter or (";" if said.decimal == "," else ","), said.decimal or "."
@@ -416,7 +416,7 @@ def write_text(path: Path, table: Table, **options: Any) -> None:
     names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
     for name in filter(None, names):
         is_number = any(one.fullmatch(name) for one in _NUMBERS.values())
-        is_cut = len(names) == 1 and ";" in name  # no other column tells that it delimits nothing
+        is_cut = len(names) == 1 and ";" in name  # a single column would be split there
         if name.startswith((*_RUN, *_REMARKS)) or not name.isprintable() or name != name.strip() or is_number or is_cut:
             raise RecordError(
                 f"The column name {name!r} would not be read back from delimited text, or be run by a spreadsheet: a "

@@ -1,6 +1,6 @@
 """Zero-phase filters, derivatives, decimation and torque windows.
 
-Torque and regressor columns pass the same `Filtering`, so that both sides of the equation lose the same.
+Torque and regressor columns pass the same `Filtering`, so that both sides of the equation are distorted equally.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
 # Default cut-offs of positions and of the decimation, as fractions of the sampling frequency: at 1 kHz 100 and 40 Hz
 # for a rigid joint, and for a flexible one 150 and 60 Hz, five times and twice the mode of the paper's axis.
 _CUTOFFS = {"rigid": (0.1, 0.04), "flexible": (0.15, 0.06)}
-_SLOWEST = 1e-5  # of the Nyquist frequency: a cut-off below is a wrong number
-_ROOM = 0.8  # of the new Nyquist frequency is left to the pass band
+_SLOWEST = 1e-5  # of the Nyquist frequency: a lower cut-off is an input error
+_ROOM = 0.8  # share of the new Nyquist frequency for the pass band
 _RIPPLE = 0.05  # dB of the decimation filter
 _ORDER = 8  # of the decimation filter
 _BUFFER = Room()
-_AT_REST = 1e-8  # of the top speed: less is rounding, whose sign is no direction
+_AT_REST = 1e-8  # of the top speed: less is rounding, whose sign is meaningless
 _BEGINS = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}  # samples from the stamp to a torque's action
 _POSITION_ORDER = 4  # of the position filter: for IDIM the highest derivative plus 2
-_PULL = 1e-4  # of the acceleration's power that noise may be, and thereby of an inertia that it may take
-_SEEN = 10.0  # times its noise: an octave of the acceleration that is motion
-_MARGIN = 2.0  # times the highest frequency of the motion, which no noise takes away
-_NOISE = 0.1  # of the sampling frequency: above it no default lets motion pass, and noise is measured
-_PARTS = 4  # of the record, whose spectra are averaged
-_FEWEST = 256  # samples: of fewer no spectrum is averaged
+_PULL = 1e-4  # largest share of noise in the acceleration's power, and thereby bias of an inertia
+_SEEN = 10.0  # smallest ratio of acceleration to noise in an octave with motion
+_MARGIN = 2.0  # ratio of the lowest noise limit to the highest frequency of the motion
+_NOISE = 0.1  # of the sampling frequency: above it noise is measured, since no default cut-off passes motion
+_PARTS = 4  # parts of the record whose spectra are averaged
+_FEWEST = 256  # fewest samples for an averaged spectrum
 
 
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Filtering:
-    """Filters that measured and simulated signals go through before they are compared."""
+    """Filters for measured and simulated signals."""
 
     position_cutoff: float | None = setting(
         None,
@@ -93,8 +93,8 @@ class Filtering:
         Args:
             sample_time: s.
             model: "rigid" or "flexible".
-            limit: Hz, on the default of `cutoff`, and with it on that of `position_cutoff`; see
-                `find_noise_limit`. It does not act on a flexible joint, whose cut-off is above its mode.
+            limit: upper bound on the defaults of `cutoff` and `position_cutoff` [Hz]; see
+                `find_noise_limit`. It is ignored for a flexible joint, whose cut-off is above its mode.
 
         Raises:
             MethodError: a cut-off is at or above the Nyquist frequency, or the decimation would alias.
@@ -118,7 +118,7 @@ class Filtering:
         """Return the samples between the borders.
 
         Raises:
-            RecordError: too few of them are left to be filtered.
+            RecordError: too few of them remain for the filter.
         """
         share = min(1.0, samples / (2 * max(sum(self.borders), 1)))
         first, last = (int(share * one) for one in self.borders)
@@ -126,10 +126,10 @@ class Filtering:
         return slice(first, samples - last)
 
     def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
-        """Low-pass forwards and backwards, and decimate; the filtering must be resolved (`resolve`).
+        """Low-pass forwards and backwards, and decimate; needs a resolved filtering.
 
-        Chebyshev type I of order 8 and 0.05 dB. Forwards and backwards it passes a constant at 0.9886, so it must be
-        applied to both sides of an equation. The last sample is always kept, and every so many before it.
+        Chebyshev type I of order 8 and 0.05 dB. Its gain at 0 Hz, applied twice, is 0.9886, so it must be applied to
+        both sides of an equation. The last sample is always kept. See `resolve`.
 
         Args:
             values: (samples,) or (samples, columns).
@@ -145,15 +145,15 @@ class Filtering:
 
 
 def default_cutoffs(sample_time: float, model: str) -> tuple[float, float]:
-    """Return the cut-offs of positions and of the decimation that follow from a sample time, Hz."""
+    """Return default cut-offs of positions and of the decimation, Hz."""
     position, cutoff = _CUTOFFS[model]
     return position / sample_time, cutoff / sample_time
 
 
 def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray:
-    """Filter signals, (samples, ...), by a Butterworth filter of order 4, forwards and backwards; cutoff in Hz.
+    """Filter signals, (samples, ...), by a zero-phase Butterworth filter of order 4.
 
-    Ends are padded by 3 x order samples, reflected about the end point.
+    The cut-off is in Hz. Ends are padded by 3 x order samples, reflected about the end point.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -171,9 +171,9 @@ def _require_samples(samples: int, padding: int) -> None:
 
 
 def thin_channel(channel: Channel, sample_time: float) -> Channel:
-    """Decimate a sampled channel to a slower clock, without a filter; others stay.
+    """Decimate a sampled channel to a slower clock, without a filter.
 
-    A position is slow against a torque's clock; its noise aliases.
+    Other channels are unchanged. A position has no content near the torque's Nyquist frequency; its noise aliases.
     """
     ratio = sample_time / channel.sample_time
     every = round(ratio)
@@ -183,13 +183,13 @@ def thin_channel(channel: Channel, sample_time: float) -> Channel:
 
 
 def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
-    """Return central differences, one-sided at the two ends; along the first axis."""
+    """Return central differences along the first axis, one-sided at both ends."""
     return np.asarray(np.gradient(values, sample_time, axis=0))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a diverging loop may overflow
 def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
-    """Decimate several signals, (samples,) or (samples, columns), as `Filtering.decimate` does."""
+    """Decimate several signals, (samples,) or (samples, columns); see `Filtering.decimate`."""
     from jointid.records.signals.sections import filter_rows
 
     assert filtering.cutoff is not None and filtering.decimation is not None
@@ -210,7 +210,7 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
 
 @lru_cache(maxsize=64)
 def _design_decimation(cutoff: float) -> tuple[FloatArray, FloatArray]:
-    """Second-order sections of the decimation filter, and their state at a constant of 1."""
+    """Return second-order sections of the decimation filter, and their unit-step state."""
     from scipy.signal import cheby1, sosfilt_zi
 
     sections = cheby1(_ORDER, _RIPPLE, cutoff, output="sos")
@@ -218,9 +218,9 @@ def _design_decimation(cutoff: float) -> tuple[FloatArray, FloatArray]:
 
 
 def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """First and second derivatives along the first axis, exact to the fourth order.
+    """First and second derivatives along the first axis, of fourth order.
 
-    Ends are reflected about the end point, so two samples at each end are of lower order.
+    Ends are reflected about the end point, so two samples at each end have lower order.
     """
     p = np.pad(values, [(2, 2)] + [(0, 0)] * (values.ndim - 1), mode="reflect", reflect_type="odd")
     first = (p[:-4] - 8 * p[1:-3] + 8 * p[3:-1] - p[4:]) / (12 * sample_time)
@@ -229,9 +229,9 @@ def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatAr
 
 
 def settle(velocity: FloatArray) -> FloatArray:
-    """Replace the rounding of a filtered velocity at rest by 0, along the first axis.
+    """Replace the rounding of a filtered velocity at rest by 0.
 
-    Rounding has a sign there, which differs between processors, and friction would follow it.
+    Along the first axis. The sign of the rounding differs between processors, and friction would depend on it.
     """
     speed = np.abs(velocity)
     return np.where(speed <= _AT_REST * np.max(speed, axis=0), 0.0, velocity)
@@ -246,10 +246,10 @@ def apply_window(columns: FloatArray) -> FloatArray:
 
 
 def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
-    """Average a torque over +-T twice, a triangular window, (samples,).
+    """Average a torque with a triangular window of +-2 samples, (samples,).
 
-    A held torque acts half a period after its stamp, in steps, while positions are smooth. After this window, exact for
-    a held torque (weights 1, 3, 3, 1 over 8), both can be compared by instant; see `apply_window`.
+    A held torque acts half a period after its stamp, in steps, while positions are smooth. This window, exact for a
+    held torque (weights 1, 3, 3, 1 over 8), makes both comparable at each instant; see `apply_window`.
 
     Args:
         channel: the torque; held, averaged, or sampled.
@@ -269,14 +269,14 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
 
 
 def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *, curved: bool = False) -> FloatArray:
-    """Apply the window of `window_torque` to signals that are constant over parts.
+    """Apply the window of `window_torque` to piecewise constant signals.
 
     Args:
-        columns: (parts of all samples, columns); after the last sample there is none.
-        parts: per sample.
+        columns: (parts of all samples, columns); none after the last sample.
+        parts: number per sample.
         late: lag in samples, not necessarily whole or positive.
-        order: of the derivative by `late`, 0 or 1.
-        curved: whether to put back what a mean over each part takes from a curved signal.
+        order: of the derivative with respect to `late`, 0 or 1.
+        curved: whether to correct the bias of means over each part for a curved signal.
 
     Returns:
         The signals, or their derivatives, (samples, columns), each contiguous; exact, and smooth in `late`.
@@ -302,22 +302,22 @@ def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *
     return seen.T
 
 
-# The highest cut-off at which the noise of measured positions does not pull an identified inertia.
+# The highest cut-off at which the noise of measured positions does not bias an identified inertia.
 #
 # Second differences of positions raise white noise with the fourth power of the frequency, so its share of the
-# acceleration grows with the fifth power of the cut-off, whatever the sampling frequency is. Least squares takes that
-# share off the inertia. At 5 kHz, with positions in steps of 1e-4 rad, a cut-off of 4 % of the rate took a third.
+# acceleration grows with the fifth power of the cut-off, at any sampling frequency. Least squares underestimates the
+# inertia by that share: at 5 kHz, with steps of 1e-4 rad, a cut-off of 4 % of the rate lost a third.
 
 
 def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, derivative: int = 2) -> float:
-    """Return the highest cut-off that the noise of positions allows, Hz; infinite where they have none.
+    """Highest cut-off that the noise of positions allows, Hz; infinite without noise.
 
-    The limit is where noise makes 1e-4 of the power of a derivative, of the position for which that is lowest. That
-    of the acceleration, along which a joint is identified, is never below twice the highest octave in which any
-    acceleration is ten times its noise.
+    At the limit, noise contributes 1e-4 of the power of a derivative; the lowest limit of all positions counts. The
+    limit for the acceleration is at least twice the highest octave in which any acceleration is ten times its
+    noise.
 
     Args:
-        positions: (samples,) each, raw, of one clock.
+        positions: (samples,) each, raw, with one clock.
         sample_time: s.
         derivative: of the position with respect to time, 2 or more.
     """
@@ -341,7 +341,7 @@ def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, deriva
         top = int(np.argmax(octave / np.maximum(octave_noise, 1e-300)))
         lost = np.flatnonzero(~clear[top:])
         last = top + (int(lost[0]) if lost.size else power.size - top)
-        if last == top:  # it hardly moves
+        if last == top:  # hardly any motion
             continue
         needed = max(needed, _MARGIN * float(frequency[last - 1]))
         motion = float(sums[0, last] - sums[1, last])
@@ -351,18 +351,18 @@ def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, deriva
 
 
 def noise_limit_of_computed(records: Iterable[Record], sample_time: float) -> float:
-    """Return the limit of the positions that torques are computed from, Hz; infinite where all torques were logged."""
+    """Noise limit of the positions behind computed torques, Hz; infinite without."""
     positions = (one.motor_position.values for one in records if one.computed and one.motor_position is not None)
     return find_noise_limit(positions, sample_time)
 
 
 def lowpass_below_noise(values: FloatArray, limit: float, sample_time: float) -> FloatArray:
-    """Filter signals, (samples, ...), by `lowpass` up to a limit of `find_noise_limit`, if that is below Nyquist."""
+    """Apply `lowpass` at a limit of `find_noise_limit` below Nyquist."""
     return lowpass(values, limit, sample_time) if limit < 0.5 / sample_time else values
 
 
 def describe_noise_limit(filtering: Filtering, limit: float, sample_time: float, model: str) -> tuple[str, ...]:
-    """Return a sentence where the stated cut-off of a resolved filtering is above the limit of `find_noise_limit`."""
+    """Return a sentence if the stated cut-off exceeds the noise limit."""
     default, cutoff = default_cutoffs(sample_time, model)[1], filtering.cutoff or math.inf
     if cutoff <= limit * (1 + 1e-9) or limit >= default:
         return ()
