@@ -67,7 +67,7 @@ _OWN = 0.5  # of their squares: so much of the steps is none of the reference's 
 
 
 def find_plain_cause(record: Record) -> Message | None:
-    """Return a cause visible in the samples of torque and reference; None without one."""
+    """Cause visible in the samples of torque and reference; None without one."""
     if record.injected is not None:  # that moves the joint, too
         return None
     short = find_too_short(record, _SHORTEST, "to tell what is wrong")
@@ -75,7 +75,7 @@ def find_plain_cause(record: Record) -> Message | None:
 
 
 def find_broken_part(record: Record) -> Message | None:
-    """Find a record, or a part of it, in which the drive does not move the joint; None without one."""
+    """Message on parts in which the drive is inactive; None without one."""
     return find_lost_samples(record) or find_parts_off(record) or find_new_zero(record) or find_standstill(record)
 
 
@@ -85,18 +85,18 @@ def _found(name: str, value: float | None, clause: str, **more: object) -> Messa
 
 
 def offer(key: str, spans: Iterable[tuple[float, float]]) -> str:
-    """Return the key of the joint file that reads parts of the time, or leaves them out."""
+    """Joint-file key that reads parts of the time, or leaves them out."""
     return f"record.{key} = {[[round(float(instant), 3) for instant in span] for span in spans]}"
 
 
 def _offer_parts(record: Record, channel: Channel, jumps: Iterable[int]) -> str:
-    """Return the key that reads a record in parts between jumps after these samples."""
+    """Joint-file key that reads a record in parts between jumps."""
     at, ends = record.on_clock(channel.time), [0, *(k + 1 for k in jumps), len(channel)]
     return offer("parts", [(at[first], at[end - 1]) for first, end in pairwise(ends)])
 
 
 def find_too_short(record: Record, needed: float = _LEAST, what_for: str = "to rely on") -> Message | None:
-    """Return the message of a record with less motion than is needed, s; None if it is long enough.
+    """Message on less motion than needed, s; None if there is enough.
 
     Without a reversal a constant force replaces the Coulomb friction, and a short motion has few rows for many
     parameters.
@@ -116,7 +116,7 @@ def find_too_short(record: Record, needed: float = _LEAST, what_for: str = "to r
 
 
 def find_steps(record: Record) -> Message | None:
-    """Return the message of an undeclared injected signal, if the torque has steps of its own; else None.
+    """Message on an undeclared injected signal, if the torque has own steps.
 
     A step is a change in one sample between two without a change. Steps of a controller that is slower than the log,
     or of a stepped reference, correlate with the reference, and stop while it rests.
@@ -149,9 +149,9 @@ def find_steps(record: Record) -> Message | None:
 
 
 def find_lost_samples(record: Record) -> Message | None:
-    """Return the message of samples that are missing in a record without stamps; None where the motion shows none.
+    """Message on samples that are missing without time stamps; None without any.
 
-    There a smooth motion goes a whole number of its steps at once.
+    At missing samples a smooth motion advances by a whole number of its steps.
     """
     channel = record.reference or record.motor_position
     if channel is None or channel.values.size < 2 * _FEWEST_STEPS:
@@ -191,9 +191,9 @@ def _roughness(values: FloatArray) -> float:
 
 
 def find_parts_off(record: Record) -> Message | None:
-    """Return the message of parts in which the drive is off: without torque, the axis stands where a load pulls.
+    """Message on parts with the drive off, or None.
 
-    The pull is told by motion past that place, both ways. Friction could hold it if it were larger.
+    The axis stands there without torque, although motion past it, both ways, shows a load larger than friction.
     """
     torque, motor = record.torque, record.motor_position
     if torque is None or motor is None or torque.values.shape != motor.values.shape:
@@ -223,7 +223,7 @@ def find_parts_off(record: Record) -> Message | None:
 
 
 def _pulls(torque: FloatArray, way: FloatArray, acceleration: FloatArray, least: float) -> bool:
-    """Test for a torque that exceeds friction and does not depend on the direction of motion."""
+    """Test for a direction-independent torque that exceeds friction."""
     known = acceleration.size and np.std(acceleration) > _VARIES * np.sqrt(np.mean(acceleration**2))
     if not known or min(np.sum(way > 0.0), np.sum(way < 0.0)) < _MEAN:
         return False  # at an end of the travel the inertia looks like a load
@@ -233,7 +233,7 @@ def _pulls(torque: FloatArray, way: FloatArray, acceleration: FloatArray, least:
 
 
 def find_new_zero(record: Record) -> Message | None:
-    """Return the message of positions whose zero is set within the record, as by homing: they jump together."""
+    """Message on positions that jump together, as their zero is set anew."""
     motor, reference = record.motor_position, record.reference
     if motor is None or reference is None or motor.values.shape != reference.values.shape:
         return None
@@ -250,7 +250,7 @@ def find_new_zero(record: Record) -> Message | None:
 
 
 def find_profiled_steps(record: Record) -> Message | None:
-    """Return the message of a reference in steps that the torque does not follow at once: a profile is behind it."""
+    """Message on reference steps that the torque does not follow at once."""
     reference, torque = record.reference, record.torque
     if reference is None or torque is None or torque.values.shape != reference.values.shape:
         return None
@@ -266,9 +266,9 @@ def find_profiled_steps(record: Record) -> Message | None:
 
 
 def find_standstill(record: Record) -> Message | None:
-    """Return the message of a motor that hardly moves; None where it does, or where its position is not logged.
+    """Message on a motor that hardly moves; None if it moves.
 
-    Beside the reference its travel would say nothing: that may be in other units, or another channel.
+    The travel is not compared with the reference, which may have other units or be another channel.
     """
     motor, reference = record.motor_position, record.reference
     if record.injected is not None or motor is None or reference is None:  # a signal moves the joint, too
@@ -310,7 +310,7 @@ class Agreement(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LawOnPosition:
-    """Logged torque beside the torque of the declared law for the logged motor position.
+    """Logged torque and that of the declared law, for the motor position.
 
     Attributes:
         left: residual as a share of the torque about its mean.
@@ -329,13 +329,13 @@ class LawOnPosition:
 
     @property
     def holds(self) -> bool:
-        """Whether the declared law makes the logged torque."""
+        """Whether the declared law reproduces the logged torque."""
         in_time = self.late == 0.0 and abs(self.gain - 1.0) < _GAIN
         return in_time and self.left < max(_OF_LAW, _BEYOND_NOISE * self.noise)
 
     @property
     def agreement(self) -> Message:
-        """Whether the declared law makes the logged torque of the motor's position, of code `Agreement`."""
+        """Message whether the declared law reproduces the logged torque, of code `Agreement`."""
         left = f"({number(100 * self.left, 2)} % of the torque is left)"
         code, said = Agreement.HOLDS, f"the declared law makes the torque of the motor's position {left}"
         if self.late and self.left_in_time < 2 * _LEAVES:
@@ -354,7 +354,7 @@ class LawOnPosition:
 
 
 def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
-    """Compare the logged torque with that of the law for the motor's position; None without both.
+    """Compare logged and law's torque for the motor position; None without both.
 
     The initial value of the integral and a constant torque are free. The position follows a cubic spline between two
     samples of the log. Torques are compared up to the frequency that the noise of the position allows: a law
@@ -367,7 +367,7 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     columns, inside = np.column_stack([made, np.ones(logged.size)]), _select_rows(record, logged.size)
 
     def at(late: float) -> tuple[float, FloatArray]:
-        """Return the residual of the torque, and the weights, with the law so many samples later."""
+        """Residual of the torque, and the weights, with the law delayed."""
         whole = math.floor(late)
         before, share = inside - whole, late - whole
         return _regress(logged[inside], (1 - share) * columns[before] + share * columns[before - 1])
@@ -384,11 +384,11 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
 
 
 def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: float = 0.0, gain: float = 0.0) -> bool:
-    """Whether a record with a motor position has less than a quarter of a change of law or log.
+    """Test whether a record excludes another law or log.
 
-    The logged torque less that of the law is regressed on the change that another law, or another log, makes of the
-    logged motor position. The coefficient is 0 as declared and 1 with the change. The initial value of the integral and
-    a constant torque are free.
+    The difference of logged and law's torque is regressed on the change by the other law or log. The coefficient is 0
+    as declared and 1 with the change; below a quarter it is excluded. The initial value of the integral and a constant
+    torque are free.
 
     Args:
         record: as of `compare_law`.
@@ -423,7 +423,7 @@ def _select_rows(record: Record, samples: int, border: int = _BORDER) -> NDArray
 def _follow(
     record: Record, loop: ClosedLoop
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]] | None:
-    """Return the logged torque, (samples,), that of the law, (samples, columns), and the filter of both.
+    """Logged torque, (samples,), law's torques, (samples, columns), and filter of both.
 
     None without a motor position, or for a law that cannot follow it.
     """
@@ -443,7 +443,7 @@ def _follow(
 
 
 def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArray], FloatArray]) -> float:
-    """Return the residual share of a torque, filtered by `see`, regressed on the last samples of all signals."""
+    """Residual share of a filtered torque regressed on past signals."""
     from scipy.linalg import toeplitz
 
     assert record.torque is not None
@@ -458,9 +458,9 @@ def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArr
 
 
 def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
-    """Return the residual share of a signal about its mean, and the weights of columns, by normal equations.
+    """Residual share of a signal about its mean, and least-squares weights.
 
-    The residual is computed itself, so it is no difference of squares.
+    The residual is computed explicitly, not as a difference of squares.
     """
     sizes = column_norms(columns)
     products = columns.T @ columns / np.outer(sizes, sizes)
@@ -476,7 +476,7 @@ _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered 
 
 
 def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, memory: float = MEMORY) -> float:
-    """Return the share of the torque that is no linear response, so long, to the reference or an injected signal."""
+    """Share of the torque without linear response to reference or injected signal."""
     from scipy.linalg import toeplitz
 
     filtering, T = problem.filtering, problem.sample_time

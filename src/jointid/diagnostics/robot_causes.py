@@ -1,4 +1,4 @@
-"""Causes of a misfit that concern more than the torque of one joint: a base, a gear, an order, a coupling, a length.
+"""Causes of a robot's misfit: base, gear, order, coupling, length.
 
 Each is a change of the log or of the model, with which the inverse model is solved again on some hundred instants. Its
 numbers are searched on a grid, then by descent (variable projection). The rows of each joint are divided by the size of
@@ -69,7 +69,7 @@ _SAID = {
 
 
 class _Case(NamedTuple):
-    """A model and a log: positions, velocities and accelerations of the motors, (3, samples, n), and their torques.
+    """A model and log: motor motion, (3, samples, n), and torques.
 
     The torques, and 1 where a motor moves, are (samples, n).
     """
@@ -80,13 +80,13 @@ class _Case(NamedTuple):
     moving: FloatArray
 
     def logged(self, positions: FloatArray, torques: FloatArray) -> _Case:
-        """Return the case with other logs: sums of its own, by matrices (n, n) of which each column has one number."""
+        """Case with other logs, linear combinations by matrices, (n, n)."""
         moving = np.abs(np.sign(self.moving @ positions))
         return _Case(self.robot, self.motion @ positions, self.torque @ torques, moving)
 
 
 class _Change(NamedTuple):
-    """A mistake with its numbers: its code, the joints that it concerns, what corrects it, and starts of a search."""
+    """A mistake: its code, affected joints, correction, and starts of its numbers."""
 
     name: str
     joints: Sequence[int]
@@ -99,7 +99,7 @@ _Fitted: TypeAlias = tuple[float, FloatArray, _Change]
 
 
 def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> Cause | None:
-    """Return the cause that explains most of the residual of IDIM of rigid joints; None where it leaves too much."""
+    """Cause that explains most of rigid IDIM's residual, or None."""
     from scipy.optimize import least_squares
 
     if len(robot) < _TWO:
@@ -117,9 +117,9 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
         return fit(change, least_squares(residual, start, max_nfev=_STEPS).x)
 
     def cost(one: _Fitted) -> float:
-        """Return the squares, of more numbers as if they were more; a base counts as none.
+        """Sum of squares, penalised for each number; a base counts as none.
 
-        A zero off by half a turn predicts what a base upside down does.
+        A zero off by half a turn predicts the same as an inverted base.
         """
         squares, x, change = one
         if change.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
@@ -146,7 +146,7 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
 
 
 def find_copied_reference(robot: Robot, records: Sequence[Record]) -> Cause | None:
-    """Return the joints whose logged position is their reference to rounding; None without any."""
+    """Joints whose logged position is their reference to rounding, or None."""
     names = []
     for name, record in zip(robot.names, records, strict=True):
         asked, motor = record.reference, record.motor_position
@@ -160,7 +160,7 @@ def find_copied_reference(robot: Robot, records: Sequence[Record]) -> Cause | No
 
 
 def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Case:
-    """Return the declared case at some hundred instants, the torques through the filter of the positions."""
+    """Declared case at a few hundred instants, with torques filtered like positions."""
     motion = measure_motion(robot, records, filtering)
     assert motion.filtering.position_cutoff is not None
     torque = lowpass(motion.torque, motion.filtering.position_cutoff, motion.sample_time)
@@ -172,7 +172,7 @@ def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Cas
 
 
 def _solver(declared: _Case) -> tuple[Callable[[_Case], FloatArray], FloatArray]:
-    """Return the residual of a case, joint after joint, in units of that as declared, and these units, (n,) shares."""
+    """Residual function of a case, scaled per joint, and the scales, (n,)."""
     # Of any gravity and coupling: some of these columns are sums of others then.
     n, any_way = len(declared.robot), np.array([3.0, 5.0, -7.0])
     parameters = robot_parameters(replace(declared.robot.rigid, gravity=any_way), whole=False)
@@ -198,7 +198,7 @@ def _solver(declared: _Case) -> tuple[Callable[[_Case], FloatArray], FloatArray]
 
 
 def _changes(case: _Case) -> Iterator[_Change]:
-    """Yield all changes: of the log, of one joint after the other, and of the model."""
+    """Yield all changes: of the log, of each joint, of the model."""
     robot, n = case.robot, len(case.robot)
     own, same, follows = [*range(n)], np.eye(n), np.linalg.inv(robot.coupling)
 
@@ -258,7 +258,7 @@ def _couple(case: _Case, motor: int, joint: int, x: FloatArray) -> _Case:
 
 
 def _value(code: str, robot: Robot, x: FloatArray) -> float | None:
-    """Return the meaning of the numbers of a change: a factor, an angle from the declared one, or a gravity."""
+    """Meaning of a change's numbers: a factor, an angle or gravity."""
     if code == "base":
         cosine = float(robot.gravity @ x) / float(np.linalg.norm(robot.gravity) * np.linalg.norm(x))
         return math.acos(min(max(cosine, -1.0), 1.0))

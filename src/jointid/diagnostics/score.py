@@ -72,8 +72,8 @@ _WIDENED = 0.05  # a test with a larger p-value is not significant, however its 
 class _Step(NamedTuple):
     """A Gauss-Newton step along a signature with the best of its shapes.
 
-    `alone` is its whitened column, (rows,), orthogonal to the other columns, and `gain` by what the squares of the
-    residual fall.
+    `alone` is its whitened column, (rows,), orthogonal to the other columns, and `gain` the decrease of the squared
+    residual.
     """
 
     signature: FaultSignature
@@ -99,14 +99,14 @@ def score(
     Args:
         residual: (rows,) of a solved problem, in the order of time.
         own: (rows, free) columns of its free parameters, and of faults already corrected.
-        signatures: of all faults of all axes: none of them is noise.
+        signatures: of all faults of all axes; their span is excluded from the noise.
         declared: value of each fault to be tested.
         where: cells of the rows.
         by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
             only where a test is significant.
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
-        along_measured_motion: whether the columns contain the answer of the loop to a force; deviations are widened for
-            the bias that this may be, as those of the estimate are (`Influence.widen_for_motion`).
+        along_measured_motion: whether the columns contain the loop's response to a force; deviations are then widened
+            for the possible bias, like those of the estimate (`Influence.widen_for_motion`).
     """
     from scipy.stats import chi2, norm
 
@@ -169,19 +169,19 @@ def score(
 
 
 def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
-    """Return tests, the strongest first of those that are significant, then the others by their p-values."""
+    """Sort tests: significant ones by strength, then others by p-value."""
     return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -test.strength)))
 
 
 def _give_back(residual: FloatArray, fitted: FloatArray) -> FloatArray:
-    """Return a residual, (rows,), scaled at each frequency to its size before orthonormal columns were fitted."""
+    """Rescale a residual at each frequency to its size before the fit."""
     taken = smoothed_spectrum(fitted, residual.size)[0]
     shares = np.concatenate([taken[:1], taken])
     return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - shares, _KEPT)), residual.size)
 
 
 def _step_along(signature: FaultSignature, whiten: Filter, basis: FloatArray, left: FloatArray) -> _Step:
-    """Return the step along a signature; `left`, (rows,), is the residual beside the basis of the other columns."""
+    """Step along a signature; `left`, (rows,), is orthogonal to `basis`."""
     column = whiten(signature.column)
     alone = column - basis @ (basis.T @ column)
     square = float(alone @ alone)
@@ -206,7 +206,7 @@ def _group_identical(steps: Iterable[_Step]) -> list[list[_Step]]:
 
 @dataclass(frozen=True, eq=False)
 class SolvedLoop:
-    """A solved problem, and the tests of the faults that are not named yet.
+    """A solved problem, and tests of the faults not named yet.
 
     Attributes:
         problem: of a joint's loop.
@@ -228,7 +228,7 @@ class SolvedLoop:
 
     @cached_property
     def _shown(self) -> tuple[FloatArray, FloatArray, tuple[FaultSignature, ...]]:
-        """Residual, columns of the free parameters, (rows, free), and signatures of all faults.
+        """Residual, columns of free parameters, (rows, free), and signatures of all faults.
 
         Those of numbers of the law and the log are exact derivatives. A wrong ``drive_gain`` scales the whole record,
         and with it the joint, so it is not identifiable.
@@ -263,7 +263,7 @@ class SolvedLoop:
 
     @cached_property
     def own(self) -> FloatArray:
-        """Columns of the free parameters and of the faults that are corrected, (rows, columns)."""
+        """Columns of free parameters and corrected faults, (rows, columns)."""
         return np.column_stack([self._shown[1], *(one.column for one in self.corrected)])
 
     @cached_property
@@ -272,10 +272,10 @@ class SolvedLoop:
 
     @cached_property
     def _forced(self) -> list[FloatArray]:
-        """Residuals, (rows,), of random forces and noise like those of the record; none of a white residual.
+        """Residuals, (rows,), of simulated random forces and noise; none if white.
 
-        A force colours the residual by the answer of the loop. The spectrum of white noise alone has a part that looks
-        so.
+        A force colours the residual by the response of the loop. White noise alone may have a similar part of the
+        spectrum.
         """
         problem, x, cutoff = self.problem, self.x, self.problem.filtering.cutoff
         step = problem.sample_time * (problem.filtering.decimation or 1)
@@ -326,17 +326,17 @@ class SolvedLoop:
 
     @cached_property
     def tests(self) -> tuple[FaultTest, ...]:
-        """Tests of the faults, the likeliest first, without those that the motor position excludes."""
+        """Tests of the faults, likeliest first, unless excluded by the motor position."""
         return tuple(one for one in self._all_tests if one not in self.excluded)
 
     def test_law(self, fault: Fault, moved: FloatArray) -> FaultTest:
-        """Return the test of another law, which moves the torque by `moved`, (rows,), beside the faults."""
+        """Test another law, which changes the torque by `moved`, (rows,)."""
         signatures = [*self.signatures, FaultSignature(fault, moved)]
         test = score(self.residual, self.own, signatures, {fault: 0.0}, self._where, lambda: self._forced)[0]
         return replace(test, p_value=min((len(self.tests) + _LAWS) * test.p_value, 1.0))
 
     def list_rivals(self, test: FaultTest) -> tuple[FaultTest, ...]:
-        """Return the significant tests of other faults that are not far less likely."""
+        """Significant tests of other faults that are nearly as likely."""
         least = test.strength**2 - RIVAL
         likely = (one for one in self.tests if one.p_value <= LEVEL and one.strength**2 > least)
         return tuple(one for one in likely if one is not test)

@@ -1,7 +1,7 @@
-"""Search for the faults of a solved joint or robot: test each alone, take the likeliest, correct it, and test again.
+"""Stepwise search for faults of a solved joint or robot.
 
-Those that are nearly as likely by the likelihood ratio are named beside the first. Where the likeliest is impossible,
-something else is wrong.
+Each fault is tested alone, the likeliest is corrected, and the tests are repeated. Those that are nearly as likely are
+named beside the first. If the likeliest is impossible, something else is wrong.
 
 A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
 law makes the logged torque of a logged motor position, faults of law and log that it excludes are not named.
@@ -135,7 +135,7 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
 
 
 def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
-    """Return a test as a finding, with what nearly as likely ones would shift, and the problem with it corrected."""
+    """Finding of a test, with rivals' shifts, and the corrected problem."""
     (after, values), rivals = _correct(found, test), found.list_rivals(test)
     changes = found.shifts_to(values)
     for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
@@ -152,7 +152,7 @@ def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
 
 
 def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[str, float]]:
-    """Return the problem with a fault corrected, solved again, and all parameters by name, also of a law that has it.
+    """Correct a fault and solve again; return also all parameters by name.
 
     The parameter of the fault is freed. A fault without one is subtracted from the torque, and its column joins
     those of the joint, so that the error of its size does not mislead later tests.
@@ -192,10 +192,10 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
 
 
 def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
-    """Return the change of the torque, (samples,), by another law of the joint, and its parameters, by a short search.
+    """Torque change, (samples,), and parameters of another joint law, or None.
 
-    What a secant shows of a large effect is too little: the other parameters absorb a part of it. None without such a
-    law, or if no residual is smaller.
+    A short search is needed, as other parameters absorb a part of a large effect. None without such a law, or if the
+    residual is not smaller.
     """
     if signature.trial is None:
         return None
@@ -219,7 +219,7 @@ _OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are sai
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawTest:
-    """Solution under another law, and its test: size 0 is the declared law, size 1 the other one.
+    """Solution under another law, and its test (size 0: declared, 1: other).
 
     Attributes:
         law: that was tried. problem, x: a solved problem under it, and (free,) its solution.
@@ -234,7 +234,7 @@ class LawTest:
 
     @property
     def possible(self) -> bool:
-        """Whether the record does not exclude the other law, or a rate near it."""
+        """Whether the record admits the other law, or a rate near it."""
         roughly = _BETWEEN_RATES if self.test.fault is PERIOD else 0.0
         return 1 - self.test.size <= max(INTERVAL * self.test.std, roughly)
 
@@ -244,7 +244,7 @@ class LawTest:
         return (2 * self.test.size - 1) / self.test.std**2
 
     def explains(self, found: SolvedLoop) -> bool:
-        """Whether the record excludes the declared law, and no fault explains it better."""
+        """Whether the declared law is excluded, and no fault explains it better."""
         test = self.test
         if not self.possible or test.size <= 0 or test.p_value > LEVEL:
             return False
@@ -255,7 +255,7 @@ class LawTest:
         return other.gain > 0 and (other.gain - self.gain) * other.likelihood <= RIVAL * other.gain
 
     def as_likely(self, best: LawTest) -> bool:
-        """Whether the likeliest law is not far likelier.
+        """Whether this law is nearly as likely as the likeliest.
 
         The residuals are compared by the variance of its test: each law has its own spectrum of the noise in its test,
         so two likelihoods differ even where two laws leave the same residual.
@@ -264,10 +264,10 @@ class LawTest:
 
 
 def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
-    """Return the likeliest law; of those that differ in what they make of the reference the one that leaves least.
+    """Likeliest law; among uses of the reference, that of the least residual.
 
-    None if no law of the reference leaves less than the declared one, however likely the tests of them make it. Many
-    of these are alike: of those that leave nearly as little the plainest comes first in the list.
+    None if no use of the reference has a smaller residual than the declared one. Many of these are alike: of those with
+    nearly the least residual, the first in the list is the simplest.
     """
     likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
     if likeliest is None or likeliest.test.fault not in OF_REFERENCE:
@@ -306,7 +306,7 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
 
 
 def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
-    """Return the averaged and the delayed reference, of the time by which the reference is late."""
+    """Averaged and delayed reference, by the identified delay of the reference."""
     law: Any = problem.loop.controller
     wider, period = problem.freeing(REFERENCE_DELAY.name), float(problem.axis.law.period)
     late = wider.values(descend(wider, wider.vector(problem.values(x)), _TOLERANCE).x)[REFERENCE_DELAY.name]
@@ -316,7 +316,7 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...
 
 
 def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
-    """Return the test of another law by the joint that is identified under it; None where it changes nothing."""
+    """Test another law by identifying the joint under it, or None."""
     other = found.problem.under(law.controller, record)
     x = descend(other, start, _TOLERANCE).x
     left = other.residual(x)
@@ -325,7 +325,7 @@ def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArra
 
 
 def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] = ()) -> Finding:
-    """Return another law as a finding, with its shifts and equally likely laws."""
+    """Finding of another law, with its shifts and equally likely laws."""
     left = other.problem.filtered_error(other.problem.residual(other.x))
     others = tuple(one.law for one in sorted(alike, key=lambda one: -one.likelihood))
     value, shifts = 1 / other.law.rate if other.law.rate else None, found.shifts_to(other.problem.values(other.x))
@@ -333,9 +333,9 @@ def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] =
 
 
 def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]:
-    """Return the admissible law with the largest shift of a parameter; none within an interval.
+    """Admissible law with the largest parameter shift outside an interval, if any.
 
-    Of rates it is one that no other excludes. The shift of stiffness or inertia counts first.
+    A rate must not be excluded by another one. The shift of stiffness or inertia counts first.
     """
     moving = list[tuple[float, float, Finding]]()
     for one in (one for one in tests if one.possible and one.test.fault in _OPEN):
@@ -352,7 +352,7 @@ def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]
 
 
 def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple[AxisFaults, ...]:
-    """Return the faults of each axis, whose position and torque have these units."""
+    """Faults of each axis; `units` of its position and torque."""
     rows, own, residual = torques.rows, torques.stack(torques.own), torques.stack(torques.error)
     own, every = own[:, np.any(own, axis=0)], range(len(torques.measured))
     shapes = [replace(one, axis=k, column=torques.place(k, one.column)) for k in every for one in torques.shapes[k]]
@@ -413,7 +413,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
 
 
 def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: slice = slice(None)) -> Message | None:
-    """Return the part of the time in which the residual of an axis is concentrated, or None.
+    """Message on a period that concentrates an axis's residual, or None.
 
     A contact, a hand on the arm or a drive that is off acts for a part of the record. No number of the joint, the loop
     or the log explains it, and each that is fitted to it is wrong. A run of blocks is a finding where its mean square
@@ -454,7 +454,7 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
 
 
 def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray, record: Record | None) -> Message | None:
-    """Return the part of the time in which a joint does not follow its solved problem, or None."""
+    """Message on a period that contradicts a solved joint, or None."""
     residual, time = problem.residual(x), np.asarray(problem.sample_time * problem.log.kept)
     time = time if record is None else record.on_clock(time)
     return find_part(residual, np.zeros((residual.size, 1)), time)  # its columns hold near the solution alone

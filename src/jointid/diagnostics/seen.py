@@ -1,4 +1,4 @@
-"""The questions to one solved axis: its motion, and what a force on it changes of its torque."""
+"""A solved axis: its motion, and its torque's response to a force."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -30,13 +30,13 @@ class Seen:
 
     Attributes:
         position, velocity, acceleration: (samples,) of its motor.
-        asked, torque: (samples,) of its controller, and with what is added to that.
+        asked, torque: (samples,) of its controller, and with additions after it.
         through: (samples,) torque that loads its gear.
         sample_time: of all of these, s.
         others: velocity and acceleration of the other axes, by name.
         force: returns the change of the logged torque by a force on the motor, (samples,); None where that is not
             known.
-        loop: its problem and solution where it was simulated as a loop of its own.
+        loop: its problem and solution, if simulated as a loop of its own.
         residual, own: (rows,) of that problem, and (rows, free) columns of its parameters.
     """
 
@@ -60,7 +60,7 @@ class Seen:
 
     @cached_property
     def trials(self) -> dict[int, tuple[ClosedLoopProblem, FloatArray]]:
-        """The problem and the start of each joint with other laws, by the identity of what it changes of the torque."""
+        """Problem and start per joint with other laws, by torque change's identity."""
         return {}
 
     @cached_property
@@ -70,7 +70,7 @@ class Seen:
 
     @cached_property
     def windup(self) -> float:
-        """The largest wind-up of a flexible joint's spring; 0 without one, or where spring or load vanish."""
+        """Largest wind-up of the spring; 0 without spring or load."""
         if self.loop is None or not self.values.get("stiffness", 0.0) > 0.0 or not self.values["load_inertia"] > 0.0:
             return 0.0
         run = self.loop[0].simulate(self.loop[1])
@@ -88,18 +88,18 @@ class Seen:
 
     @property
     def is_plain(self) -> bool:
-        """Test for a flexible joint of symmetric friction, which other laws may replace."""
+        """Test for a flexible joint with symmetric friction, replaceable by other laws."""
         return self.loop is not None and self.is_flexible and self.loop[0].joint.friction == Friction()
 
     def vary(self, values: Mapping[str, float], size: float, **laws: Spring | Friction) -> FloatArray | None:
-        """Return the change of a flexible joint's torque by other laws of it, per unit of a size.
+        """Torque change of a flexible joint by other laws, per size.
 
-        A law that large has effects of higher order, and the joint's parameters absorb a part of it: a derivative does
-        not show the second mode beside a joint of one mode. So the joint is simulated with it.
+        The joint is simulated with the law, as a large change has effects of higher order, and the joint's parameters
+        absorb a part of it. A derivative does not show the second mode of a joint with one mode.
 
         Args:
-            values: of the parameters that differ from the joint's; None is returned where one of these is kept.
-            size: of what the laws add.
+            values: of the parameters that differ from the joint's; if one of them is fixed, the result is None.
+            size: of the laws' change.
             laws: in the place of the joint's spring and friction.
         """
         assert self.loop is not None
@@ -120,7 +120,7 @@ class Seen:
 
 
 def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, own: FloatArray) -> Seen:
-    """Return the questions to a joint's loop: each force on it is simulated."""
+    """Solved axis of a joint's loop; forces on it are simulated."""
     run, added = problem.simulate(x), problem.axis.after_limit
     output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
 
@@ -148,7 +148,7 @@ def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, ow
 
 
 def _torque_through(problem: ClosedLoopProblem, x: FloatArray, run: Simulation) -> FloatArray:
-    """Return the torque through a joint's spring, (samples,), or of a rigid joint that on its mass."""
+    """Torque through a joint's spring, or on a rigid mass, (samples,)."""
     joint = problem.joint
     if not isinstance(joint, FlexibleJoint):
         return run.push

@@ -1,8 +1,8 @@
-"""The table of suspects: what may be wrong with an axis of a joint or a robot, its tests, and what is found.
+"""Table of fault hypotheses of an axis, their tests and findings.
 
-Each is a row, in the order of the tests. It is tested as a small deviation by what a unit of it adds to the torque of
-the axis. All that is particular to it is a field of `Fault`; the tests and the report read these fields. What corrects
-a large one is in `changes`. To add one, write its columns, and its row.
+Each is a row, in the order of the tests. It is tested as a small deviation, by the change of the axis's torque per unit
+of it. All of its properties are fields of `Fault`, which the tests and the report read. Corrections of large ones are
+in `changes`. To add one, write its columns, and its row.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,12 +51,12 @@ class Fault:
     Attributes:
         name: its code.
         title: noun phrase, without an article, that states it.
-        columns: returns what it adds to the torque of an axis, in each of its shapes.
+        columns: returns its change of the torque of an axis, for each of its shapes.
         remedy: what to declare, or to do, as the end of a sentence, with {shape}.
-        tried: number of waves, of any phase, that its column is the best of; 0 of a column without a phase.
+        tried: number of waves, of any phase, from which its column is chosen; 0 for a column without a phase.
         declared: value without the fault; None for a number of the controller, whose value is declared.
         one_sided: whether its size can only be positive.
-        least: smallest size that is named: less is within what such a part is known to.
+        least: smallest size that is named; smaller ones are within the usual tolerance.
         mechanical: whether it is a fault of the joint's model, not of loop or log.
         last: whether it is named only where no other fault is collinear.
         kin: group of faults of the model that describe one effect; after one is found, the others are not tested.
@@ -81,7 +81,7 @@ class Fault:
 
     @property
     def of_model(self) -> bool:
-        """True of a fault of the joint's mechanics or friction, False of one of loop and log."""
+        """True for faults of mechanics or friction, False for loop or log."""
         return self.mechanical or bool(self.kin)
 
 
@@ -94,7 +94,7 @@ class FaultSignature:
         column: (rows,) change of the filtered torque per unit of its size: a derivative, or a secant.
         shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
         raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
-        axis: that has it.
+        axis: index of its axis.
         trial: the problem of the joint with it, and (free,) a start, if a law of the joint has it.
     """
 
@@ -118,7 +118,7 @@ class FaultTest:
         std: standard deviation of the size, autocorrelation-robust.
         p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.
-        axis: that has it.
+        axis: index of its axis.
     """
 
     in_json = "name statistic -fault -alike -axis"
@@ -143,12 +143,12 @@ class FaultTest:
 
     @property
     def possible(self) -> bool:
-        """False of a delay that is negative in all: no torque reacts before its law."""
+        """False for a negative total delay: no torque precedes its law."""
         return self.fault is not DELAY or self.declared + self.size + INTERVAL * self.std >= 0.0
 
     @property
     def strength(self) -> float:
-        """The absolute statistic; at least 0 for a fault that can only be positive.
+        """Absolute statistic; at least 0 for faults that are only positive.
 
         A shape that is the best of many is strong by chance: the fault is as strong as a single test of its p-value.
         """
@@ -160,7 +160,7 @@ class FaultTest:
 
 
 def name_number(name: str) -> str:
-    """Return a number's name in words, also a filter's: "time constant of the velocity filter"."""
+    """Number's name in words, such as "time constant of the velocity filter"."""
     *owner, last = name.replace("_", " ").split(".")
     if len(owner) == 2:  # one of several, which are counted
         return f"{last} of {owner[0].removesuffix('s')} {owner[1]}"
@@ -169,7 +169,7 @@ def name_number(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParameterShift:
-    """Change of a parameter when a fault is corrected: in its unit, and in its standard deviations; symbol and unit."""
+    """Change of a parameter by correcting a fault: in unit and deviations."""
 
     in_json = "-symbol -unit"
     by: float
@@ -209,7 +209,7 @@ class Finding:
         value: estimated, in the unit of the declaration; None where no parameter stands for the fault.
         rivals: tests of faults that are at most 20 times less likely.
         changes: of the joint's parameters, by name, when it is corrected.
-        law: that the drive runs instead of the declared one, where that is the fault.
+        law: the drive's law instead of the declared one, if that is the fault.
         left: residual share of the filtered torque under that law, or with that fault in the joint.
         alike: equally good laws, the likeliest first.
     """
@@ -233,12 +233,12 @@ class AxisFaults:
         tests: of every fault as if it were the only one, the likeliest first.
         units: of "torque" and "position".
         suspected: faults that are not named, and whose shifts the intervals hold. One of the mechanics that is
-            significant at the level of those of the loop, not at its own tenth of that; where none was found, one of
-            loop or log that the motor position excludes: the joint has what looks like it; and another law that the
-            record does not exclude, and that would shift a parameter out of its interval.
+            significant only at the level of those of the loop; without a finding, one of loop or log that the motor
+            position excludes, as the joint may have the same effect; and another law that the record does not
+            exclude, and that would shift a parameter out of its interval.
         part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
-        explained: share of the squares of the residual that the faults explain together, where they leave more than
-            noise, so that none of them is likely to be the cause; None where they explain it.
+        explained: share of the squares of the residual that the faults explain together, if they leave more than
+            noise, so that none of them is likely to be the cause; else None.
     """
 
     findings: tuple[Finding, ...]
@@ -255,7 +255,7 @@ class AxisFaults:
 
     @property
     def reasons(self) -> tuple[Message, ...]:
-        """The faults found, one message each; one that says so where there are none."""
+        """Messages on the faults found; one on their absence if none."""
         if self.part is not None:
             return (self.part,)
         if self.explained is not None:
@@ -271,7 +271,7 @@ class AxisFaults:
         return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
 
     def _describe(self, finding: Finding) -> Message:
-        """Return the message on a fault: its size, what else may be, what it moves, and what to declare."""
+        """Message on a fault: size, alternatives, shifts and remedy."""
         test = finding.test
         clause = self._state(finding)
         if test.alike:
@@ -290,7 +290,7 @@ class AxisFaults:
         return Message(test.fault.reason, words, values, clause)
 
     def _state(self, finding: Finding) -> str:
-        """State a fault with its size and interval, or the possible laws of the drive."""
+        """State a fault with its size, or the drive's possible laws."""
         test, fault, measure = finding.test, finding.test.fault, finding.test.fault.measure
         if finding.law is not None:
             laws = [f"{one.words}: declare {one.remedy}" for one in (finding.law, *finding.alike)]
@@ -320,7 +320,7 @@ def _push(seen: Seen) -> Columns:
 
 
 def _scale_injected(seen: Seen) -> Columns:
-    """Yield the change by the injected signal's gain, where the signal is added after the limit."""
+    """Yield the effect of scaling a signal injected after the limit."""
     if seen.loop is None or not np.any(seen.loop[0].axis.after_limit):
         return
     problem, x = seen.loop
@@ -332,7 +332,7 @@ def _scale_injected(seen: Seen) -> Columns:
 
 
 def _limit(seen: Seen) -> Columns:
-    """Yield the whole change of the torque by lower limits of the output, so that size 1 is the limit."""
+    """Yield full effects of lower torque limits; size 1 is the limit."""
     levels = [share * float(np.max(np.abs(seen.asked))) for share in _LEVELS]
     if seen.loop is None:
         yield from ((one, np.sign(seen.asked) * np.maximum(np.abs(seen.asked) - one, 0.0)) for one in levels)
@@ -348,7 +348,7 @@ def _limit(seen: Seen) -> Columns:
 
 
 def _saturate(seen: Seen) -> Columns:
-    """Yield the missing torque per unit loss at the peak, by powers of the current."""
+    """Yield torque lost per unit loss at the peak, by current powers."""
     current = seen.torque
     share = np.abs(current) / (float(np.max(np.abs(current), initial=0.0)) or 1.0)
     for power in _SAGS:
@@ -371,7 +371,7 @@ def _hang(seen: Seen) -> Columns:
 
 
 def _cog(seen: Seen) -> Columns:
-    """Yield the ripple, per unit of amplitude, that explains most of a residual of a loop without smooth laws.
+    """Yield the ripple, per amplitude, that explains most of a residual.
 
     The residual is regressed on cosine and sine of the simulated position over each period: a loop that holds its
     position against a force shows the force nearly as it is. The likeliest periods are then simulated.
@@ -385,7 +385,7 @@ def _cog(seen: Seen) -> Columns:
     basis, left = orthonormal_basis(whiten(seen.own), _RANK), whiten(seen.residual)
 
     def explain(columns: FloatArray) -> tuple[float, FloatArray]:
-        """Return the decrease of the squares of the residual by columns, and their weights."""
+        """Decrease of the squared residual by columns, and their weights."""
         white = whiten(columns)
         apart = white - basis @ (basis.T @ white)
         weights = np.linalg.lstsq(apart, left, rcond=_RANK)[0]
@@ -426,7 +426,7 @@ def _follow_other(name: str, seen: Seen) -> Columns:
 
 
 def _at_low_speed(sign: float, seen: Seen) -> Columns:
-    """Yield a friction that is larger, or smaller, by ``S exp(-(v / vs)^2)``, for some vs."""
+    """Yield friction changes by ``S exp(-(v / vs)^2)``, for some vs."""
     own = "" if seen.loop is None else seen.loop[0].joint.friction.name
     if "stribeck" in own or "presliding" in own:
         return
@@ -437,7 +437,7 @@ def _at_low_speed(sign: float, seen: Seen) -> Columns:
 
 
 def _along_travel(seen: Seen) -> Columns:
-    """Yield a friction that changes over the travel, by 1 at most: by a line, half a wave and a whole one."""
+    """Yield friction that varies over the travel, linearly or by waves."""
     low, span = float(seen.position.min()), float(np.ptp(seen.position)) or 1.0
     way = 2.0 * (seen.position - low) / span - 1.0
     for shape, over in enumerate((way, np.cos(np.pi * way), np.sin(np.pi * way))):
@@ -445,7 +445,7 @@ def _along_travel(seen: Seen) -> Columns:
 
 
 def _winds_up(seen: Seen) -> Columns:
-    """Yield presliding minus ideal Coulomb friction of a flexible joint, over several distances."""
+    """Yield presliding minus Coulomb friction of a flexible joint, at several distances."""
     if not seen.is_flexible or not seen.has_linear_friction:
         return
     still, moves = np.sign(seen.velocity), np.diff(seen.position, prepend=seen.position[0])
@@ -455,7 +455,7 @@ def _winds_up(seen: Seen) -> Columns:
 
 
 def _wind(moves: FloatArray) -> FloatArray:
-    """Return the share of Dahl's friction that is wound up after each move, (samples,), in winding distances."""
+    """Wound-up share of Dahl's friction after each normalised move, (samples,)."""
     wound, found = 0.0, np.empty(moves.size)
     for k, (way, left) in enumerate(zip(np.sign(moves).tolist(), np.exp(-np.abs(moves)).tolist(), strict=True)):
         wound = way + (wound - way) * left if way else wound
@@ -473,7 +473,7 @@ def _under_load(seen: Seen) -> Columns:
 
 
 def _over_time(seen: Seen) -> Columns:
-    """Yield friction that falls over the record, by one unit at its end."""
+    """Yield friction that falls by one unit over the record."""
     gone = np.linspace(0.0, 1.0, seen.velocity.size)
     if seen.loop is None:
         yield VISCOUS, seen.force(gone * seen.velocity)
@@ -487,7 +487,7 @@ def _over_time(seen: Seen) -> Columns:
 
 
 def _other_spring(laws: Sequence[str], seen: Seen) -> Columns:
-    """Yield springs of other laws for a flexible joint's linear one, at their starts."""
+    """Yield other spring laws in place of a linear one, at starts."""
     joint: Any = seen.loop[0].joint if seen.loop else None
     values = seen.values
     if not seen.is_flexible or not joint.spring.linear or seen.windup == 0.0:
@@ -592,12 +592,12 @@ FAULTS = {one.name: one for one in _ROWS}
 
 
 def number_fault(name: str) -> Fault:
-    """Return the fault of a number of the controller or the log that is not as declared."""
+    """Fault of a number of controller or log that differs from declared."""
     return FAULTS.get(name) or _number(name, name_number(name))
 
 
 def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
-    """Yield the torque that each fault adds to an axis, before the filter."""
+    """Yield each fault's unfiltered change of an axis's torque."""
     coupled = (
         Fault(
             f"coupled_{name}", f"torque that follows the motion of {name}", partial(_follow_other, name),

@@ -1,11 +1,11 @@
-"""Validation as the paper does it: the direct test on the same record, the cross test on another one.
+"""Direct and cross test of the paper: the same or another record.
 
 The joint or robot is simulated, or its inverse model evaluated, and the torque of each axis compared with the measured
 one, ``||Y - Ys|| / ||Y||``. Only what belongs to the record is estimated anew: the state at its first sample, and the
 zero of a load encoder.
 
-What noise allows is what the same model leaves of another record when its parameters are free there. It predicts the
-record where it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
+The attainable error is that of the same model with parameters fitted to the other record. An estimate predicts the
+record if it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
 compared with its nominal masses, rotors and springs, with friction fitted to the estimate's record.
 """
 
@@ -78,19 +78,19 @@ _SAID = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValidatedAxis:
-    """Agreement of the signal that is predicted of one axis with a record.
+    """Agreement of one axis's predicted signal with a record.
 
     Attributes:
         name: of the joint in its robot; empty for a joint alone.
         unit: of the signal: N, N m, A or V; position_unit: of the motion, m or rad.
         measured, predicted: (samples,) raw signal.
-        compared: (samples,) 0 at the borders, and where a method leaves out a motor that rests or turns round; else 1.
+        compared: (samples,) 0 at the borders, and where a method leaves out a motor that rests or reverses; else 1.
         position, velocity: (samples,) of the motor: simulated under a controller, measured for the other methods.
         relative_error: of the raw signal; a ratio.
         filtered_error: of the filtered and decimated signal, with the estimate's own filtering; a ratio.
         attainable_error: `filtered_error` of the same model fitted to this record; None in a direct test, and infinite
             where that fails.
-        nominal_error: that of the nominal robot; infinite where it cannot be simulated, None where it says no masses.
+        nominal_error: that of the nominal robot; infinite if it cannot be simulated, None without nominal masses.
     """
 
     in_json = "prediction -position -velocity"
@@ -121,17 +121,17 @@ class ValidatedAxis:
 class Validation(Documented):
     """Agreement of an estimate's prediction with a record, axis by axis.
 
-    Errors without an axis are the root mean square of those of the axes; None where one has none.
+    Errors of the whole are the root mean square of those of the axes; None if one is missing.
 
     Attributes:
         test: "direct" on the record it was identified from, "cross" on another.
-        method: name of the estimate's; one that simulates nothing evaluates the inverse model on the measured position.
+        method: of the estimate; one without a simulation evaluates the inverse model at the measured position.
         record, identified_from: names of the records.
         sample_time: of the signals, seconds.
         borders: samples left out at each end of the relative error.
         axes: (n,) of each joint of a robot in order, or of the one joint.
         warnings: limits of the result, one sentence each.
-        resampled: resampling of the record to a uniform clock; None where it was logged so.
+        resampled: resampling of the record to a uniform clock; None if it was logged so.
         transmission: of a joint, on whose `side` signal and motion are.
     """
 
@@ -169,7 +169,7 @@ class Validation(Documented):
 
     @property
     def answer(self) -> Message:
-        """Whether the estimate predicts every axis of the record within its noise, and the remedy if not."""
+        """Whether the estimate predicts every axis within its noise; else a remedy."""
         bad = [axis for axis in self.axes if axis.prediction is Prediction.NOT_PREDICTED]
         code, there = bad[0].prediction if bad else self.axes[0].prediction, bad or self.axes
         left, least = _rms([a.filtered_error for a in there]), _rms([a.attainable_error for a in there])
@@ -185,7 +185,7 @@ class Validation(Documented):
         return f"{self.answer}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the answer and the errors as a document; there are no further details."""
+        """Answer and errors as a document; there are no further details."""
         del details
         ways = {"loop": "simulated from the reference", "motion": "simulated along the motor position"}
         how = ways.get(method_of(self.method).simulates, "computed from the measured position")
@@ -290,7 +290,7 @@ def _take_records(estimate: Estimate, record: Record | Sequence[Record]) -> Sequ
 
 
 class _Predicted(NamedTuple):
-    """A record beside its prediction: raw signals and the motors' motion, (samples, n), and filtered rows, (n, rows).
+    """A record and its prediction: raw, (samples, n), and filtered, (n, rows).
 
     The rows of a flexible joint's inverse model are those of two equations, one after the other.
 
@@ -350,7 +350,7 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
 
 
 def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
-    """Predict the torques of a joint or a robot, under its controllers or along the motion of its motors."""
+    """Predict torques under the controllers or along the motors' motion."""
     settings, part, nominal, compared = estimate.settings, estimate.robot, None, 1.0
     problem: Any
     free: Any
