@@ -93,7 +93,7 @@ class AxisTorques:
         return float(np.linalg.norm(left)) / whole, white
 
     def stack(self, each: FloatArray) -> FloatArray:
-        """Stack compared rows of all axes, (n, rows, ...), scaled by error size."""
+        """Stack compared rows of all axes, (n, rows, ...), scaled by error."""
         return np.concatenate([part[s] / size for part, s, size in zip(each, self.seen, self.sigma, strict=True)])
 
     @property

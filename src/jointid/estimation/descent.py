@@ -1,10 +1,10 @@
-"""Descents to the least torque error: one run of the solver each, counted and reported.
+"""Descents to the least torque error, each one run of the solver.
 
 A rigid joint is searched from each of its starts, with the motor at rest at the first sample, then moving. Nonlinear
 spring and friction laws are searched from the end with linear ones: the linear spring and the friction of one line that
-fit best lie between the pieces, so that everything else about the joint is nearly right there. Where the pieces begin
-is not known, and the criterion has more than one valley over it: every start of the laws is followed a little, and the
-best to the end.
+fit best lie between the pieces, so that everything else about the joint is nearly right there. The beginnings of the
+pieces are unknown, and the criterion has several minima over them: every start of the laws is followed for a few steps,
+and the best to the end.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Solved(NamedTuple):
 
 @dataclass(slots=True)
 class History:
-    """The simulations of a search that solves several problems, one after the other.
+    """Count of a search's simulations over several problems, one after another.
 
     Attributes:
         progress: receives each step.
@@ -99,7 +99,7 @@ class History:
     counted: Counted = field(default_factory=Counted)
 
     def solve(self, problem: Any, start: FloatArray, solver: LevenbergMarquardt | None = None) -> Solved:
-        """Descend from a start, to the tolerance or by another solver, and report the steps."""
+        """Descend from a start, by default to the tolerance, and report steps."""
         solver = solver or least_squares(self.tolerance, self.evaluations)
         self.counted.problem = problem
         size = problem.size or 1.0
@@ -116,7 +116,7 @@ def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> 
 
 
 def free_more(solved: Solved, names: tuple[str, ...], history: History) -> Solved:
-    """Go on by least squares with more of the joint's surroundings free, see `surrounding`.
+    """Continue least squares with more surroundings of the joint free, see `surrounding`.
 
     Raises:
         MethodError: nothing around the joint has such a name, or one record cannot tell it.
@@ -131,10 +131,10 @@ def free_more(solved: Solved, names: tuple[str, ...], history: History) -> Solve
 
 
 def is_significant(resting: Solved, moving: Solved) -> bool:
-    """Test whether a first velocity explains more torque than noise, and is above two robust standard deviations.
+    """Test whether an initial velocity significantly lowers the torque error.
 
-    A residual is correlated as a rule, and a motor that slips before it sticks changes where it stands for the rest of
-    the record: the gain alone would invent a motion.
+    It must also exceed two robust standard deviations. A residual is usually correlated, and a motor that slips before
+    it sticks has another position for the rest of the record: the gain alone would suggest a motion.
     """
     before, after = resting.norm**2, moving.norm**2
     if before - after <= _CLEARLY * before / resting.solution.residual.size:
@@ -158,13 +158,13 @@ _ASIDE = 0.25  # of the reference's largest speed: a motor may move while its re
 def search_rigid_joint(
     problem: ClosedLoopProblem, starts: Sequence[Mapping[str, float]], history: History, *, freed: bool = False
 ) -> Solved:
-    """Descend from each start to the least torque error, and return the best end.
+    """Descend from each start, and return the end of least torque error.
 
     Args:
         problem: of a rigid joint with linear laws.
         starts: the likeliest first.
         history: of the search.
-        freed: whether more is freed from the end, in whose place a motion at the first sample could stand.
+        freed: whether more is freed from the end, which an initial motion could replace.
 
     Raises:
         MethodError: the loop cannot be simulated at any start, and the sentence says why at the first.
@@ -213,12 +213,9 @@ def search_rigid_joint(
 
 
 def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], history: History) -> list[FloatArray]:
-    """Return a start with the motor where the start or the torque has it, the likelier first.
+    """Starts with the motor at given or torque-derived positions, likelier first.
 
-    Friction that begins too small lets a motor slip that stood: then nothing tells where it stood.
-
-    Raises:
-        MethodError: the loop cannot be simulated there, or runs away.
+    Too small an initial friction lets a resting motor slip, and its position is lost.
     """
     # A regression keeps no bounds; an inertia of the wrong sign is that of a torque of the wrong sign.
     x, inertias = problem.vector(start), [p.quantity is Quantity.INERTIA for p in problem.free]
@@ -242,14 +239,14 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
 
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
-    """Return the problem of the same joint with a linear spring; itself where it has one."""
+    """The same joint's problem with a linear spring."""
     joint = problem.joint
     assert isinstance(joint, FlexibleJoint)
     return problem if joint.spring.linear else problem.with_joint(replace(joint, spring=Spring()))
 
 
 def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History) -> Solved:
-    """Search for a joint with nonlinear laws from the end with linear ones, or with a linear spring."""
+    """Search for nonlinear laws from the solution with linear laws or spring."""
     joint, linear = problem.joint, found.problem
     own, around = problem.parameters[: len(joint.parameters)], linear.around  # the motor may begin moving there
     problem = replace(problem.with_log(filtering=linear.filtering), parameters=(*own, *around))
@@ -267,15 +264,15 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History
 def law_starts(
     joint: Joint, linear: Joint, values: Mapping[str, float], run: Run, axis: int, given: Mapping[str, float | None]
 ) -> list[dict[str, float]]:
-    """Return the starts of the search of a joint's laws, each with the values of all its parameters.
+    """Starts of a search of a joint's laws, with all parameters' values.
 
     Args:
         joint: with nonlinear laws.
-        linear: the same with others, which were found.
+        linear: the same with the identified laws.
         values: of its parameters.
         run: with the linear laws.
         axis: of the joint there.
-        given: starts that are stated, None of others.
+        given: stated starts, None for others.
     """
     springs: list[dict[str, float]] = [{}]
     frictions: list[dict[str, float]] = [{}]

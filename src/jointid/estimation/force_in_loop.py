@@ -1,8 +1,8 @@
-"""The uncertainty of a least torque error, wide enough for a random force in the loop, which lets friction slide.
+"""Uncertainty of least torque error under a random force in the loop.
 
-A cutting force, a ripple, a floor that shakes: what pushes on the motor is not in the log. The controller answers to
-it, so the torque shows it; and now and then it makes a motor slide that would stand, or turn round. On the average over
-such a force Coulomb friction acts less near standstill, and more like a viscous one. Least squares by simulations
+A cutting force, a ripple or a shaking floor pushes on the motor, and is not in the log. The controller answers to it,
+so the torque shows it; and sometimes it makes a motor slide that would rest, or reverse. Averaged over
+such a force, Coulomb friction acts less near standstill, and more like viscous friction. Least squares by simulations
 without the force therefore finds too little Coulomb and too much viscous friction, the more so the more the axis rests:
 on random servos, under forces of 1 to 6 % of the torque of their ramps, by 2 to 87 %.
 
@@ -11,13 +11,13 @@ what noise n and force d leave in the torque, with T the loop's complementary se
 
     S_r(f) = |T(f)|^2 S_d(f) + S_n,      S_d(f) = sum over k of c_k / (1 + (f / f_k)^2),   c_k >= 0
 
-so a flat residual is noise, and one that falls where the loop no longer answers is a force.
+so a flat residual is noise, and one that falls where the loop no longer responds is a force.
 
-**What it moves** is simulated: on the average over pairs of opposite forces of that spectrum, whose linear answers
-cancel, the torque is another only by what the force does through the friction. Gauss-Newton steps lead from the end of
-least squares to where this mean torque has the least error, the force estimated again at each. That
-distance is added to the deviations, as one of its own size: 2 sigma hold both. Where friction never holds the
-motor, as on the EMPS axis and on the paper's twin, nothing moves, whatever the force.
+**Its bias** is simulated: averaged over pairs of opposite forces of that spectrum, whose linear responses cancel, the
+torque changes only by the effect of the force on the friction. Gauss-Newton steps lead from the end of
+least squares to the least error of this mean torque, with the force estimated again at each step. That
+distance is added to the deviations, as one of its own size: 2 sigma hold both. If friction never holds the
+motor, as on the EMPS axis and on the paper's twin, there is no bias.
 """
 
 import math
@@ -82,9 +82,9 @@ class RandomForce:
 def widen_for_force(
     known: Uncertainty, problem: ClosedLoopProblem, x: FloatArray, J: FloatArray
 ) -> tuple[Uncertainty, tuple[FloatArray, RandomForce] | None]:
-    """Return an uncertainty at x, (free,), widened for a force in the loop; and where that moves x, and the force.
+    """Widen an uncertainty at x, (free,), for a force in the loop.
 
-    Where there is none, or it moves nothing by a quarter of its deviation, the uncertainty is as it was.
+    Returns also the shifted x and the force; None without a force, or with shifts below a quarter deviation.
     """
     run, at, bounds, std = problem.simulate(x), x, Bounds.of(problem.free), known.covariance.std
     for count in range(_ROUNDS):
@@ -114,7 +114,7 @@ def widen_for_force(
 
 
 def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray) -> RandomForce | None:
-    """Return the force that a raw residual, (samples,), shows; None if it shows none, or too little of the motion."""
+    """Random force that a raw residual, (samples,), shows; else None."""
     from scipy.optimize import nnls
 
     speed = np.abs(run.motor_velocity)
@@ -144,7 +144,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
 
 
 def simulate_mean(problem: ClosedLoopProblem, x: FloatArray, force: RandomForce) -> FloatArray:
-    """Return the mean torque of the loop, (samples,), under pairs of opposite forces."""
+    """Mean torque of the loop, (samples,), under pairs of opposite forces."""
     return np.asarray(sum(simulate_with_force(problem, x, force))) / (2 * _PAIRS)
 
 
@@ -155,7 +155,7 @@ def simulate_with_force(
     draws: int = _PAIRS,
     signs: tuple[float, ...] = (1.0, -1.0),
 ) -> Iterator[FloatArray]:
-    """Yield the torque of the loop, (samples,), under so many random forces, each of them with each sign."""
+    """Yield the loop's torque, (samples,), under `draws` random forces per sign."""
     random, samples = np.random.default_rng(0), problem.measured.size
 
     def push(added: FloatArray, driven: AxisInput) -> AxisInput:
@@ -172,7 +172,7 @@ def simulate_with_force(
 def _spectrum(
     signal: FloatArray, chosen: FloatArray, sample_time: float, longest: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies and spectrum of the chosen samples of a signal, by pairs up to so many seconds apart."""
+    """Frequencies and spectrum of chosen samples, from lags up to `longest`, s."""
     lags = max(min(round(longest / sample_time), signal.size // 4), 2)
     size = 1 << (2 * signal.size - 1).bit_length()
 
@@ -186,7 +186,7 @@ def _spectrum(
 
 
 def _response(problem: ClosedLoopProblem, x: FloatArray, hertz: FloatArray) -> FloatArray:
-    """Return ``|T|^2``: how much of a force on the motor the controller's torque answers to."""
+    """``|T|^2``: response of the controller's torque to a force on the motor."""
     own = {p.name for p in problem.joint.parameters}
     values = {name: value for name, value in problem.values(x).items() if name in own}
     law = problem.axis_at(x).law

@@ -1,4 +1,4 @@
-"""From a record, several, or a log too long for memory, to a fit.
+"""Fit of one record, several, or a log too long for memory.
 
 DIDIM reproduces the logged torque, or the motor position. The position is compared as the torque that the declared
 controller outputs for it (`simulation.controller_torque`), so search, intervals and checks are those of a logged
@@ -53,7 +53,7 @@ def is_long(record: Record) -> bool:
 def windows_of(
     record: object, model: object, method: Method | None, several: Mapping[str, Any] | None = None
 ) -> float | None:
-    """Return the seconds of a window of a long record; None of others, and of what is not identified in windows."""
+    """Window length of a long record, s; None if inapplicable."""
     if not isinstance(record, Record) or not is_long(record) or _refuse_windows(record, model, method, several):
         return None
     sample_time = next(channel.sample_time for _, channel in record.items())
@@ -61,7 +61,7 @@ def windows_of(
 
 
 def part_of(record: Record) -> Record:
-    """Return a record; of a long one the window in which the axis moves most."""
+    """The record, or the window of a long one with most motion."""
     if not is_long(record):
         return record
     samples = min(len(channel) for _, channel in record.items())
@@ -69,7 +69,7 @@ def part_of(record: Record) -> Record:
 
 
 def _refuse_windows(record: object, model: object, method: Method | None, several: object) -> str:
-    """Return the reason against windows, in a sentence; empty if there is none."""
+    """Reason against windows, in a sentence; empty if there is none."""
     if isinstance(record, Sequence) or several or not isinstance(model, ClosedLoop) or not _simulates_loop(method):
         return (
             "Windows are of one record of a joint, and simulate its loop; other methods need none: give a "
@@ -84,7 +84,7 @@ def _refuse_windows(record: object, model: object, method: Method | None, severa
 
 
 def _simulates_loop(method: Method | None) -> bool:
-    """Test whether a method simulates a loop, as the default one of a loop does."""
+    """Test whether a method simulates a loop, like a loop's default method."""
     return method is None or method.simulates == "loop"
 
 
@@ -99,7 +99,7 @@ def fit(
     windows: float | None = None,
     progress: Progress = ignore_progress,
 ) -> Estimate:
-    """Return the fit of a joint or a robot, without the checks; see `jointid.identify`."""
+    """Fit a joint or a robot, without checks; see `jointid.identify`."""
     if fault := Setting("", above=0.0, type=float, optional=True).fault(windows):
         raise MethodError(f"windows, in seconds,{fault}")
     filtering, known, listed = filtering or Filtering(), parameters or {}, isinstance(record, Sequence)
@@ -136,7 +136,7 @@ def _fit_records(
     several: Mapping[str, Any],
     progress: Progress,
 ) -> Estimate:
-    """Return the fit of a joint to several records, under their loops or by IDIM.
+    """Fit a joint to several records, under their loops or by IDIM.
 
     Raises:
         RecordError, MethodError: records, model and method do not belong together.
@@ -167,7 +167,7 @@ def _fit_records(
 def _fit_robot(
     record: Any, model: Any, method: Method, filtering: Filtering, known: Mapping[str, Parameter], progress: Progress
 ) -> Estimate:
-    """Return the fit of a robot to the records of its joints, of one log or of several.
+    """Fit a robot to its joints' records, of one log or several.
 
     Raises:
         RecordError, MethodError: records, model and method do not belong together.
@@ -203,7 +203,7 @@ def identify_record(
     progress: Progress = ignore_progress,
     others: Sequence[Record] = (),
 ) -> Estimate:
-    """Return the fit of a joint to one record, or by IDIM to others, too; see `jointid.identify`.
+    """Fit a joint to one record (IDIM: several); see `jointid.identify`.
 
     Raises:
         MethodError: the method does not fit the model, or an inertia is not positive.
@@ -247,7 +247,7 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
 
 
 def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None:
-    """Check the units and scales of the records of a robot's joints, also by the limits of its model.
+    """Check units and scales of a robot's records, also by its limits.
 
     Raises:
         RecordError: one cannot be in its units; each sentence names its joint.
@@ -271,9 +271,9 @@ def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None
 
 
 def torques_of(records: Sequence[Record], loops: Sequence[ClosedLoop], outputs: Sequence[str]) -> list[Record]:
-    """Return the records with the torque that is reproduced: the logged one, or that of the motor position.
+    """Records with the torque to reproduce: logged, or from the motor position.
 
-    `outputs` is "torque" or "motor_position", or empty for the torque where it is logged, else the position.
+    `outputs` is "torque" or "motor_position", or empty for the torque if it is logged, else the position.
 
     Raises:
         RecordError: a record lacks an output that is asked for.
@@ -285,10 +285,10 @@ def torques_of(records: Sequence[Record], loops: Sequence[ClosedLoop], outputs: 
 
 
 def state_scale(fit: Estimate, records: Sequence[Record]) -> Estimate:
-    """Return a fit of computed torques with a check of what these do not tell; any other fit as it is.
+    """Add a check of undetermined scales to a fit of computed torques.
 
-    A fixed parameter other than 0 that is a part of the torque, or a known torque beside the controller's output, tells
-    the factor that controller and joint have in common. The content of an integral at the first sample is unknown, and
+    A fixed parameter other than 0 that is a part of the torque, or a known torque beside the controller's output,
+    determines the common factor of controller and joint. The content of an integral at the first sample is unknown, and
     with it a constant torque: the parameters that include it lose their values.
     """
     computed = [
@@ -319,10 +319,10 @@ def state_scale(fit: Estimate, records: Sequence[Record]) -> Estimate:
 
 
 def state_timing(fit: Estimate, records: Sequence[Record]) -> Estimate:
-    """Widen the drive side's delay by half a sample where no timing is stated.
+    """Widen the drive side's delay by half a sample for unstated timing.
 
-    Another reading of the torque, held or sampled, changes that delay by half a sample and nothing else. To DIDIM both
-    are one: a controller's output is the same at its stamp and until its next period.
+    Another reading of the torque, held or sampled, changes that delay by half a sample and nothing else. For DIDIM both
+    are the same: a controller's output is the same at its stamp and until its next period.
     """
     stated = all(one.torque.stated for one in records if one.torque is not None)
     if stated or fit.settings.simulates != "motion":

@@ -1,4 +1,4 @@
-"""The parameters that a search finds: those of a robot, and those of what surrounds a joint.
+"""Search parameters: those of a robot, and of a joint's surroundings.
 
 What surrounds a joint may be as unknown as the joint itself: its first state, its loop, its log. A problem
 keeps these at what the record and the joint file say, unless they are made free (`surrounding`). Each is a `Parameter`
@@ -92,7 +92,7 @@ def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Par
 
 
 def surrounding(name: str, controller: Controller, period: float | None = None) -> Parameter:
-    """Return the named parameter, free, from its declared value, within the law's bounds.
+    """Named free parameter from its declared value, within the law's bounds.
 
     Args:
         name: of a part of the first state, the log, or a number of the controller.
@@ -120,9 +120,9 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
 
 
 def log_delay(known: float | None, sample_time: float, *, stated: bool = True) -> Parameter:
-    """Return the log's delay as it is known, in seconds; where it is None free, within twenty samples.
+    """The log's delay, s: fixed if known, else free within twenty samples.
 
-    It counts from when the torque acts. Where the torque's timing is not stated, a known delay is free within two.
+    It counts from when the torque acts. If the torque's timing is not stated, a known delay is free within two.
     """
     late, start = sample_time * (_MOST_LATE if known is None else _LEFT_OPEN), known or 0.0
     free = replace(LOG_DELAY, free=True, start=start, lower=start - late, upper=start + late)
@@ -164,10 +164,10 @@ class RobotParameters:
     Attributes:
         parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm. Those with a
             fixed value are the last.
-        places: of them. logarithmic: (parameters,) whether a search works on the logarithm.
-        base: the robot's numbers with 0 wherever one is grouped with others.
-        dropped: the places of what was grouped, or acts on nothing.
-        grouping: (parameters, dropped) what each of the dropped adds to each parameter.
+        places: of the parameters. logarithmic: (parameters,) whether a search uses the logarithm.
+        base: the robot's numbers, with 0 for those that are grouped with others.
+        dropped: the places of numbers that were grouped, or have no effect.
+        grouping: (parameters, dropped) share of each dropped number in each parameter.
     """
 
     parameters: tuple[Parameter, ...]
@@ -198,13 +198,13 @@ class RobotParameters:
 
     @property
     def inertial(self) -> NDArray[np.bool_]:
-        """Which are inertias, or sums of them, (parameters,)."""
+        """Mask of inertias and their sums, (parameters,)."""
         return np.array([standard_index(one, len(self.base.joints)) is not None for one in self.places], dtype=np.bool_)
 
     def columns(
         self, robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray, numbers: Numbers | None = None
     ) -> FloatArray:
-        """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
+        """Columns of motor torques without deflection, (samples, n, parameters).
 
         The joints' positions, velocities and accelerations are (samples, n) each. Speeds below which a friction rises
         are those of `numbers`, or of `base`.
@@ -237,7 +237,7 @@ class RobotParameters:
 
     @property
     def of_standard(self) -> FloatArray:
-        """Weights in each parameter of the links' inertial parameters, then of the rotors, (parameters, 11 n)."""
+        """Weights of links' inertial parameters, then rotors', (parameters, 11 n)."""
         found = np.zeros((len(self.places), 11 * len(self.base.inertials)))
         both = np.hstack([np.eye(len(self.places)), self.grouping])
         for place, column in zip((*self.places, *self.dropped), both.T, strict=True):
@@ -254,7 +254,7 @@ class RobotParameters:
         return found
 
     def formulas(self, robot: Robot) -> tuple[str, ...]:
-        """Return the sums that the parameters stand for, as text; of one that stands alone its symbol.
+        """Sums that the parameters stand for, as text; else their symbols.
 
         Only inertias are parts of sums.
         """
@@ -268,9 +268,9 @@ class RobotParameters:
         return tuple(found)
 
     def group(self, numbers: Numbers) -> FloatArray:
-        """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,).
+        """Parameters of a robot with these numbers, including grouped ones, (parameters,).
 
-        Those that are of the record, not of the robot, are as in `base`.
+        Those of the record, not of the robot, are as in `base`.
         """
         numbers = numbers.with_record(self.base)
         kept, dropped = (np.array([numbers[p] for p in places]) for places in (self.places, self.dropped))
@@ -283,22 +283,22 @@ class RobotParameters:
         return found
 
     def values(self, x: FloatArray) -> FloatArray:
-        """Return the parameters, (parameters,), from what is searched, (free,)."""
+        """Convert search variables, (free,), to all parameters, (parameters,)."""
         found, logs = self.fill(x), self.logarithmic
         found[logs] = np.exp(found[logs])
         return found
 
     def scales(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives of the free parameters by what is searched, (free,)."""
+        """Derivatives of the free parameters by the search variables, (free,)."""
         return np.where(self.logarithmic, self.values(x), 1.0)[self._searched]
 
     def to_search_variables(self, values: FloatArray) -> FloatArray:
-        """Convert parameters, (parameters,), to what is searched, (free,)."""
+        """Convert parameters, (parameters,), to search variables, (free,)."""
         logs = self.logarithmic
         return np.where(logs, np.log(np.where(logs, values, 1.0)), values)[self._searched]
 
     def reach(self, values: FloatArray) -> FloatArray:
-        """Return how far one step of a search from these values may move each free parameter, (free,)."""
+        """Step limit of each free parameter from these values, (free,)."""
         reach = np.where(self.logarithmic, _REACH, np.inf)
         of_laws = {place for place, _ in law_places(self.base)}
         for c, place in enumerate(self.places):
@@ -328,17 +328,17 @@ class RobotParameters:
 def robot_parameters(
     robot: Robot, *, offsets: bool = True, logarithmic: bool = False, whole: bool = True
 ) -> RobotParameters:
-    """Return the parameters of a robot that are identifiable with sufficient excitation.
+    """Parameters of a robot that are identifiable with sufficient excitation.
 
-    The links' parameters are grouped with friction, springs and rotors, all of lines; what the laws have beside lines
-    stands alone.
+    The links' parameters are grouped with friction, springs and rotors, all linear. Nonlinear parameters of the laws
+    are not grouped.
 
     Args:
-        robot: whose joints are rigid or flexible, with any law.
-        offsets: whether a constant torque of each motor is one of them; else it keeps the robot's.
+        robot: with rigid or flexible joints, and any laws.
+        offsets: whether a constant torque of each motor is a parameter; else it has the robot's value.
         logarithmic: whether the rotors and springs of flexible joints are searched on a logarithmic scale.
-        whole: whether all numbers of the laws are parameters. Else the equations are linear in them: they have the rise
-            of a friction towards standstill, but the speed below which it does is the robot's.
+        whole: whether all numbers of the laws are parameters. Else the equations are linear in them: they have the
+            Stribeck force, but the Stribeck speed is the robot's.
     """
     numbers = Numbers.of(robot)
     places = _order_parameters(numbers, offsets, rising=not whole)
@@ -358,7 +358,7 @@ def robot_parameters(
 
 
 def find_free_delays(loop: RobotLoop, free: Sequence[str]) -> tuple[int, ...]:
-    """Return the joints whose torques have a free delay, by the names in `DIDIM.free`.
+    """Indices of joints whose torque delay is free, by `DIDIM.free`.
 
     Raises:
         MethodError: a name is of something else.
@@ -371,7 +371,7 @@ def find_free_delays(loop: RobotLoop, free: Sequence[str]) -> tuple[int, ...]:
 
 
 def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]) -> RobotParameters:
-    """Return parameters with the delays of some joints' torques, which begin at those of their controllers.
+    """Add the delays of some joints' torques, starting from their controllers' delays.
 
     Raises:
         MethodError: a controller has no delay.
@@ -399,27 +399,27 @@ def with_delays(loop: RobotLoop, delays: Mapping[int, float]) -> RobotLoop:
 
 
 def name_in_robot(joint: str, name: str) -> str:
-    """Return the name of a joint's parameter in a robot: of "elbow" "load_coulomb" is "elbow.link_coulomb"."""
+    """Name of a joint's parameter in a robot, as "elbow.link_coulomb" for "load_coulomb"."""
     place = Place(0, name)
     return name_of(f"link_{place.own}" if place.side == "load_" else place.own, joint)
 
 
 def _of_laws(robot: Robot, numbers: Numbers) -> Iterator[tuple[Parameter, Place]]:
-    """Yield the parameters that laws have beside lines, as a joint's identification takes them."""
+    """Yield the nonlinear parameters of laws, as a joint's identification takes them."""
     for place, p in law_places(numbers):
         name = name_in_robot(robot.joints[place.axis].name, p.name)
         yield replace(p, name=name, symbol=symbol_of(name.partition(".")[2], place.axis)), place
 
 
 def standard_index(place: Place, links: int) -> int | None:
-    """Return the place among a robot's standard parameters, links then rotors; None of what is no inertia."""
+    """Index among standard parameters, links then rotors; None without inertia."""
     if place.of_link:
         return len(SYMBOLS) * place.axis + place.column
     return len(SYMBOLS) * links + place.axis if place.own == "inertia" else None
 
 
 def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
-    """Fix parameters, which then are the last, and tighten the bounds of the others.
+    """Fix parameters, moving them to the end, and tighten others' bounds.
 
     Unknown names are ignored; the value of a fixed parameter is its start.
     """
@@ -436,7 +436,7 @@ def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter
 
 
 def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
-    """Refuse what is stated of another parameter than friction or a constant torque, and a start for a search."""
+    """Refuse values, bounds or starts except for friction and offsets."""
     if not stated:
         return
     own, beside = robot_parameters(robot), [p.name for p, _ in _of_laws(robot, Numbers.of(robot))]
@@ -452,7 +452,7 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
 
 
 def _order_parameters(numbers: Numbers, offsets: bool, rising: bool) -> tuple[Place, ...]:
-    """Return the places of lines, those first that are to be kept; `rising` adds the rise towards standstill."""
+    """Order the places of linear parameters by priority; `rising` adds Stribeck forces."""
 
     def of_masses(*names: str) -> list[Place]:
         found = (Place(i, f"{side}{name}") for i, side in numbers.sides for name in names)
@@ -473,7 +473,7 @@ def _order_parameters(numbers: Numbers, offsets: bool, rising: bool) -> tuple[Pl
 
 
 def _random_columns(robot: Robot, numbers: Numbers, places: tuple[Place, ...]) -> FloatArray:
-    """Return the columns at random motions, (rows, parameters), 0 where they are rounding."""
+    """Columns at random motions, (rows, parameters), with rounding set to 0."""
     random, shape = np.random.default_rng(0), (_MOTIONS, numbers.count)
     velocity = 2.0 * random.normal(size=shape)
     for row, (i, side) in enumerate(numbers.sides):  # a third of the motions are slow enough to be there
@@ -490,7 +490,7 @@ def _random_columns(robot: Robot, numbers: Numbers, places: tuple[Place, ...]) -
 
 
 def _name_parameter(robot: Robot, place: Place, logarithmic: bool, weights: FloatArray) -> Parameter:
-    """Return the parameter of a place, with the bounds of a joint alone, or of the sum with these weights, (11 n,)."""
+    """Parameter of a place, or of a sum with these weights."""
     at = standard_index(place, len(robot))
     name, symbol, _ = ("", "", 0) if at is None else name_sum(robot, weights, at)
     if place.of_link:

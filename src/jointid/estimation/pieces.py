@@ -1,25 +1,24 @@
-"""One joint from several pieces of data: records that are stacked in memory, or windows of a long log that are summed.
+"""One joint from several records, or from windows of a long log.
 
-**Several records.** Each is identified by itself, which gives the start, and what the record says alone. Least squares
-over the rows of all follows, those of a record divided by the level of its residual, so that it counts for what it is
-worth.
+**Several records.** Each is identified by itself, which gives the start, and its own estimate. Least squares over the
+rows of all follows, those of a record divided by the level of its residual, so that it is weighted by its accuracy.
 
-Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
-the motion (`position_dependent_error`). Where the records disagree by more than their intervals allow, the answer says
-so and widens what they share (`result.agreement`). What moves a record's own solution, beside noise
-(`widen_for_force`, `widened_to_second`), moves the common one as far as the record weighs in it, and widens that.
+Errors of different records are independent in time, but equal at the same place, if they repeat with the motion
+(`position_dependent_error`). If the records disagree by more than their intervals allow, the answer says so, and the
+intervals of shared parameters are widened (`result.agreement`). A systematic shift of a record's own solution
+(`widen_for_force`, `widened_to_second`) widens the common one by the record's weight in it.
 
-A parameter of a record is one that all share, or that plus a number that is known, or its own, called ``name@number``
+A parameter of a record is shared by all, or shared plus a known number, or its own, called ``name@number``
 with the number of the record, from 1. The motor's first state is always a record's own; so is a number of the
 controller that the records declare differently.
 
-**Windows of a long log.** An identification of one window gives the start. A pass reads every window once and keeps of
-each what `Sums` holds. A window begins in the middle of a motion: where the law, turned round, puts the motor for the
-logged torque, at the speed of the reference. What is wrong of that the loop forgets within the settling time, of which
-nothing is counted, at either end: the zero-phase filter looks both ways. Neighbouring windows overlap by twice that.
+**Windows of a long log.** An identification of one window gives the start. A pass reads every window once and keeps its
+`Sums`. A window begins in the middle of a motion, at the motor position that the inverted law gives for the logged
+torque, with the speed of the reference. The loop forgets an initial error within the settling time, which is excluded
+at either end, since the filter has zero phase. Neighbouring windows overlap by twice that time.
 
-What every visit to a place errs alike no longer record averages away: sums are kept of each place, too. The deviations
-are the larger, in every direction, of what leaving out windows says and what leaving out places says.
+Errors that repeat at a place are not averaged away by a longer record: sums are kept of each place, too. The deviations
+are the larger ones, in every direction, of leaving out windows and of leaving out places.
 """
 
 from __future__ import annotations
@@ -96,13 +95,13 @@ class Layout(NamedTuple):
 
     @property
     def scales(self) -> bool:
-        """True if the gain of the drive is free: a record by itself has parameters per torque of its log."""
+        """True if the drive's gain is free; records then scale per log."""
         return GAIN in self.free
 
     def changes(self, known: Mapping[str, Parameter], number: int) -> Mapping[str, Parameter]:
-        """Return the changes to the parameters of one record by itself: what was added is in start and bounds.
+        """Adapt parameter changes to one record by itself, with its added inertia.
 
-        Where the gain of the drive is not known, these are per torque of its log, and no bound can be moved.
+        If the gain of the drive is unknown, these are per torque of its log, and no bound can be moved.
         """
         own, more = _inertia(self.loops[0].joint), self.added[number]
         if not more:
@@ -115,7 +114,7 @@ class Layout(NamedTuple):
 def lay_out(
     count: int, loops: ClosedLoop | Sequence[ClosedLoop], free: Sequence[str], several: Mapping[str, Any]
 ) -> Layout:
-    """Return how so many records belong together, by what `jointid.identify` has as `several`.
+    """Relations of records, from `several` of `jointid.identify`.
 
     Raises:
         MethodError: a list is not as long as the records; an added inertia is impossible; the joints are not of one
@@ -160,7 +159,7 @@ def lay_out(
 
 
 def _inertia(joint: Joint) -> Parameter:
-    """Return the inertia that another is added to: that of the load."""
+    """The inertia to which others are added: that of the load."""
     return next(p for p in reversed(joint.parameters) if p.quantity is Quantity.INERTIA)
 
 
@@ -168,14 +167,14 @@ def _inertia(joint: Joint) -> Parameter:
 class Records:
     """The torques of several records against one joint: a problem of `solvers.solve`.
 
-    A record has its own parameters per torque of its log: those of all and what is known, over the gain of the drive.
+    A record's own parameters are per torque of its log: the common ones plus known additions, over the drive's gain.
 
     Attributes:
         problems: one for each record.
         parameters: in the order of the table, fixed ones too.
-        free: those that are identified: first those that are shared, then those of each record.
-        labels: for each record, the names of those that its own are, (its free,); empty where one is known.
-        known: for each record, the value of such a one, and what is known to come on top of the others, (its free,).
+        free: identified parameters: first the shared ones, then those of each record.
+        labels: for each record, the names of its parameters among the free ones, (its free,); empty for a known one.
+        known: for each record, the value of a known one, and known additions to the others, (its free,).
         sigma: (records,) levels of the residuals, by which their rows are divided.
         last: the rows of the last candidate, not divided.
     """
@@ -190,7 +189,7 @@ class Records:
 
     @property
     def of_gain(self) -> list[int]:
-        """The place of the drive's gain among the free parameters; none where it is not free."""
+        """Index of the drive's gain among free parameters; empty if fixed."""
         return [i for i, p in enumerate(self.free) if p.name == GAIN]
 
     def gain(self, x: FloatArray) -> float:
@@ -199,11 +198,11 @@ class Records:
 
     @property
     def maps(self) -> list[FloatArray]:
-        """For each record, 1 where one of its parameters is one of the free ones, (its free, free)."""
+        """Selection matrix of each record's parameters, (its free, free)."""
         return [np.array([[float(p.name == label) for p in self.free] for label in own]) for own in self.labels]
 
     def join(self, found: Sequence[FloatArray], gain: float) -> FloatArray:
-        """Return the parameters that the records' own come from: means of those that are shared, within bounds."""
+        """Combine records' parameters: means of shared ones, clipped to bounds."""
         total, count = np.zeros(len(self.free)), np.zeros(len(self.free))
         total[self.of_gain], count[self.of_gain] = gain, 1.0
         for problem, among, known, own in zip(self.problems, self.maps, self.known, found, strict=True):
@@ -212,12 +211,12 @@ class Records:
         return Bounds.of(self.free).clip(total / count)
 
     def split(self, x: FloatArray) -> list[FloatArray]:
-        """Return the parameters of each record, (its free,), from those of all."""
+        """Parameters of each record, (its free,), from the free ones."""
         each, gain = zip(self.problems, self.maps, self.known, strict=True), self.gain(x)
         return [(among @ x + known) / _scale(problem, gain) for problem, among, known in each]
 
     def rows(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the residual of each record, (rows,), and its derivatives by all parameters, (rows, free)."""
+        """Residual of each record, (rows,), and derivatives, (rows, free)."""
         if (key := x.tobytes()) not in self.last:
             self.last.clear()
             self.last[key], gain = [], self.gain(x)
@@ -234,14 +233,14 @@ class Records:
         return np.concatenate([e / s for (e, _), s in pairs]), np.concatenate([J / s for (_, J), s in pairs])
 
     def weigh(self, x: FloatArray) -> Records:
-        """Return the problem weighted by the levels of the residuals at a candidate."""
+        """Weight the problem by the levels of the residuals at a candidate."""
         least = _QUIETEST * max(problem.size for problem in self.problems)
         levels = [max(float(np.linalg.norm(error)), least) / math.sqrt(error.size) for error, _ in self.rows(x)]
         return replace(self, sigma=np.array(levels))
 
 
 def share_parameters(problems: Sequence[ClosedLoopProblem], layout: Layout, known: Mapping[str, Parameter]) -> Records:
-    """Return the problem of several records, with changes to the parameters of their joint."""
+    """Pose the problem of several records, with changes to their joint's parameters."""
     joint, labels, found, free = problems[0].joint, list[list[str]](), list[FloatArray](), dict[str, Parameter]()
     stated, inertia = {p.name: p for p in adjust_parameters(joint.parameters, known)}, _inertia(joint).name
     if layout.scales:  # one that is known is per torque of the log, too
@@ -271,12 +270,12 @@ def share_parameters(problems: Sequence[ClosedLoopProblem], layout: Layout, know
 
 
 def _scale(problem: ClosedLoopProblem, gain: float) -> FloatArray:
-    """Return the gain for the joint's parameters, which come first, and 1 for all others, (free,)."""
+    """Factor per parameter, (free,): the gain for joint parameters, else 1."""
     return np.where(np.arange(len(problem.free)) < len(problem.free_joint), gain, 1.0)
 
 
 def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) -> list[set[str]]:
-    """Return, for each record, the names of its free parameters that it shares with no other."""
+    """Names of each record's free parameters that no other record shares."""
     around = {(p.name, p.start) for one in problems for p in one.free if p in one.around and of_law(p.name)}
     differing = {name for name, starts in Counter(name for name, _ in around).items() if starts > 1}
     apart = [{*mine, *INITIAL, *differing} for mine in own]
@@ -292,7 +291,7 @@ def identify_records(
     fit: FitRecord,
     progress: Progress,
 ) -> Estimate:
-    """Return the fit of one joint to several records in one fit; see `jointid.identify`.
+    """Fit one joint to several records; see `jointid.identify`.
 
     Raises:
         MethodError: no record tells a parameter, or nothing tells the drive's gain.
@@ -318,7 +317,7 @@ def identify_records(
 
 
 def _search(together: Records, x: FloatArray) -> tuple[Solution, Records, int]:
-    """Return the solution from a start, (free,), the problem as it is weighted there, and the evaluations of it."""
+    """Solve from a start, (free,); return solution, reweighted problem and evaluations."""
     together, made = together.weigh(x), 1
     J = together.linearise(x)[1]
     if not all(find_separable(J)[together.of_gain]):
@@ -343,7 +342,7 @@ def _require_solution(fit: Estimate) -> tuple[ClosedLoopProblem, FloatArray]:
 
 
 def fill_starts(each: Sequence[Mapping[str, float]], names: Sequence[str]) -> list[dict[str, float]]:
-    """Return the values each record starts from, by name; one that it does not tell is another record's.
+    """Start values of each record; missing ones are taken from other records.
 
     Raises:
         MethodError: no record tells one of these names.
@@ -365,7 +364,7 @@ def _judge(
     fits: Sequence[Estimate],
     made: int,
 ) -> Estimate:
-    """Return the fit of all records, with what each says alone; `made` evaluations led to the solution."""
+    """Joint fit of all records, and each alone; `made` counts evaluations."""
     x, names, problems = solution.x, [p.name for p in together.free], together.problems
     joint, gain, at = problems[0].joint, together.gain(x), [problem.log.kept for problem in problems]
     values = {p.name: float(p.start or 0.0) for p in together.parameters} | dict(zip(names, map(float, x), strict=True))
@@ -414,7 +413,7 @@ def _judge(
 
 
 def _compute_shift(together: Records, influence: Influence, fits: Sequence[Estimate], gain: float) -> FloatArray:
-    """Propagate the systematic shifts of the records' solutions to the common one, (free,)."""
+    """Propagate the systematic shifts of the records' solutions to the common one."""
     moved, first = np.zeros(len(together.free)), 0
     for problem, among, fit in zip(together.problems, together.maps, fits, strict=True):
         rows = slice(first, first := first + problem.log.kept.size)
@@ -426,7 +425,7 @@ def _compute_shift(together: Records, influence: Influence, fits: Sequence[Estim
 
 
 def _describe_record(fit: Estimate, together: Records, number: int, gain: float) -> Alone:
-    """Return the fit of one record, numbered from 0, in terms of the acting torque."""
+    """Fit of one record, numbered from 0, in terms of acting torque."""
     (problem, x), known = _require_solution(fit), fit.parameters
     separable = dict(zip(fit.free, find_separable(problem.linearise(x)[1]), strict=True))
     names, values, std = list[str](), dict[str, float](), list[float]()
@@ -462,7 +461,7 @@ Places: TypeAlias = Callable[[FloatArray, FloatArray], NDArray[np.intp]]
 
 
 def places_of(position: FloatArray, velocity: FloatArray) -> Places:
-    """Return stretches of the travel, by direction and class of speed, of the motion in one window, (samples,) each."""
+    """Function that labels stretches of travel by direction and speed class."""
     speeds = cells(position, velocity).speeds
     origin, width = float(position.min()), (float(np.ptp(position)) or 1.0) / _PLACES
     resting = RESTING * float(np.max(np.abs(velocity)))
@@ -478,22 +477,22 @@ def places_of(position: FloatArray, velocity: FloatArray) -> Places:
 
 
 def travel(record: Record) -> float:
-    """Return how far the axis is asked to move in a window, or what is injected varies, in sum."""
+    """Total variation of the reference, or of the injection, in a window."""
     asked = record.motor_position if record.reference is None else record.reference
     asked = asked if record.injected is None else record.injected.channel
     return 0.0 if asked is None else float(np.sum(np.abs(np.diff(asked.values))))
 
 
 def moves(record: Record) -> bool:
-    """Test for a window with motion or an injected signal, and a torque that is not 0 throughout."""
+    """Test for a window with motion or injection, and a nonzero torque."""
     braked = record.torque is not None and not np.any(record.torque.values)
     return not braked and (travel(record) > 0 or record.injected is not None)
 
 
 def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
-    """Return the problem of a window that is like another one's, with its own state at the first sample.
+    """Problem of a window like another one's, with its own initial state.
 
-    That may be wrong on purpose, `disturbed` by a share of the window's torque and speed.
+    That state may be wrong on purpose, `disturbed` by a share of the window's torque and speed.
     """
     assert record.torque is not None
     experiment = prepare(like.loop, record)
@@ -533,8 +532,8 @@ class Pass:
 
     Attributes:
         windows: in the order of time. places: over all of them, by the place's number.
-        still: windows in which nothing was asked of the axis, and which are left out.
-        stopped: what stopped the simulation of a window, in a sentence; empty where none was.
+        still: windows without commanded motion, which are left out.
+        stopped: why the simulation of a window stopped, in a sentence; empty if none did.
     """
 
     windows: tuple[Window, ...]
@@ -548,12 +547,12 @@ class Pass:
         return total([w.sums for w in self.windows])
 
     def shift(self, step: FloatArray) -> Pass:
-        """Return the pass after a small step of the parameters, to first order."""
+        """The pass after a small parameter step, to first order."""
         windows = tuple(replace(w, sums=w.sums.shift(step)) for w in self.windows)
         return replace(self, windows=windows, places={at: sums.shift(step) for at, sums in self.places.items()})
 
     def covariance(self) -> Covariance:
-        """Return the covariance of the estimate: the larger of leaving out windows, and of leaving out places.
+        """Covariance: the larger of leaving out windows and leaving out places.
 
         Raises:
             MethodError: one window says nothing of how windows differ.
@@ -569,16 +568,16 @@ class Pass:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowsOfLog:
-    """The windows of a log against the loop of a joint: a problem of `solvers.solve`, of as few rows as there can be.
+    """Windows of a log against a joint's loop, with fewest equivalent rows.
 
     Attributes:
         like: the problem of the window that the search starts from.
-        log: that is read.
-        places: that repeat.
+        log: the long log.
+        places: labels of repeating places.
         length: samples that count in a window.
         settling: samples at either end of a window that are simulated and not counted.
         progress: receives the progress of a pass.
-        passes: that were made, by their candidates.
+        passes: completed passes, by their candidates.
     """
 
     like: ClosedLoopProblem
@@ -595,7 +594,7 @@ class WindowsOfLog:
         return self.like.free
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rows with the sums of all windows: residual, (rows,), and derivatives, (rows, free)."""
+        """Rows equivalent to all windows: residual, (rows,), and derivatives, (rows, free)."""
         return rows_of(self.pass_over(x).sums)
 
     def pass_over(self, x: FloatArray) -> Pass:
@@ -656,7 +655,7 @@ def identify_windows(
     window: float,
     progress: Progress,
 ) -> Estimate:
-    """Return the estimate of a joint from a long log in windows of so many seconds; see `jointid.identify`.
+    """Estimate a joint from a long log in windows; see `jointid.identify`.
 
     Raises:
         RecordError, MethodError: no window by itself identifies the joint, or one cannot be simulated.
@@ -740,7 +739,7 @@ def _start(
     fit: FitRecord,
     progress: Progress,
 ) -> Estimate:
-    """Return the estimate of a window that identifies the joint.
+    """Estimate from the first window that identifies the joint.
 
     Raises:
         RecordError, MethodError: none of the first does; what is wrong with the last that was tried.

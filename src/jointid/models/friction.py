@@ -203,7 +203,7 @@ class Friction:
 
     @property
     def linear(self) -> bool:
-        """True if the law is linear in its parameters: one line per direction."""
+        """True if linear in the parameters: one line per direction."""
         return not self.terms
 
     @property

@@ -112,7 +112,7 @@ def compute_relative_deviations(table: PublishedTable) -> dict[str, Decimal]:
 
 
 def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[str, Decimal]:
-    """Exact changes from Table 2 to 4, or 3 to 5 (Table 6)."""
+    """Exact changes from Table 2 to 4, or 3 to 5."""
     start, end = before.column("value"), after.column("value")
     return {name: end[name] - start[name] for name in start}
 
@@ -120,7 +120,7 @@ def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[st
 def compute_relative_errors(
     idim: PublishedTable, didim: PublishedTable, denominator: str = "DIDIM"
 ) -> dict[str, Decimal]:
-    """Column of Table 7 in %: by (15), relative to DIDIM or IDIM."""
+    """Column of Table 7 in %: by (15), relative to DIDIM/IDIM."""
     of = (didim if denominator == "DIDIM" else idim).column("value")
     return {name: 100 * abs(change / of[name]) for name, change in compute_variations(idim, didim).items()}
 

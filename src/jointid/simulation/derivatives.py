@@ -257,7 +257,7 @@ def columns_of(
 
 
 def _find_carriers(tree: Tree) -> NDArray[np.bool_]:
-    """Matrix, (n, n), True where a link carries another; all for coupled motors."""
+    """Matrix, (n, n), True where a link carries another; all when coupled."""
     if tree.joints.size:
         return np.ones(tree.joints.shape, dtype=np.bool_)
     found = np.eye(tree.parents.size, dtype=np.bool_)

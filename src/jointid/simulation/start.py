@@ -152,7 +152,7 @@ class Steady:
     soft: FloatArray | float = -math.inf
 
     def of_masses(self, of_shafts: FloatArray) -> FloatArray:
-        """Copy values of shafts, (n, ...), to masses moving with them, (masses, ...)."""
+        """Copy values of shafts, (n, ...), to their moving masses, (masses, ...)."""
         found = np.zeros((self.numbers.count, *of_shafts.shape[1:]))
         for own, value in zip(self.numbers.rows, of_shafts, strict=True):
             found[own] = value

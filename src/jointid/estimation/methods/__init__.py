@@ -1,7 +1,7 @@
-"""The identification methods, and what each says of itself.
+"""The identification methods and their properties.
 
 A method is a file of this folder with a frozen dataclass of its settings, a `Method` whose name is that of the file.
-All that knows methods asks here: identification, the joint file with its checks, the command line, the comparison.
+It is read by identification, the joint file with its checks, the command line, and the comparison.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ class Task:
     """The input of a method.
 
     Attributes:
-        record: what was logged.
+        record: the log.
         joint: the model.
-        loop: the joint under its controller; None where that is not known, which a method that needs it never sees.
-        parameters: of the joint; free ones are estimated. One's own start replaces that of the method.
+        loop: the joint under its controller; None if unknown, which methods that need it never receive.
+        parameters: of the joint; free ones are estimated. A stated start replaces that of the method.
         filtering: how the signals are filtered.
         progress: receives the iterations.
         others: records that are identified with the first in one fit, by a method that stacks them.
@@ -85,13 +85,13 @@ class Method(Protocol):
     Attributes:
         name: in the joint file, on the command line and in an answer.
         title: in a report.
-        default_for: the types of models that it identifies where no method is named.
+        default_for: the types of models for which it is the default method.
         robots: the types of models of robots that it identifies.
         stacks: whether it identifies one joint from several records, see `Task.others`.
-        simulates: the "loop" under its controllers, with springs and frictions of any law, and then its estimate keeps
-            problem and solution; or what follows the measured "motion" of the motors; or nothing, "".
-        outputs: what a simulated loop reproduces, "torque" or "motor_position"; empty for what is logged.
-        free: names of what surrounds the joint and is identified, too.
+        simulates: the "loop" under its controllers, with springs and frictions of any law; its estimate then keeps
+            problem and solution. Or the load along the measured "motion" of the motors; or nothing, "".
+        outputs: the reproduced signal of a simulated loop, "torque" or "motor_position"; empty for the logged one.
+        free: names of identified numbers around the joint.
     """
 
     name: ClassVar[str]
@@ -112,13 +112,13 @@ class Method(Protocol):
 
     @classmethod
     def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
-        """Return the names of the channels that it reads; of a controller not known, only the reference."""
+        """Names of its channels; for an unknown controller, only the reference."""
         if cls.simulates != "loop":
             return "torque", "motor_position"
         return ("torque", *(("reference",) if controller is None else controller.channels))
 
     def require_settings_of(self, system: str) -> None:
-        """Refuse a setting that means nothing for a "rigid" or a "flexible" joint, or a "robot".
+        """Refuse a setting without effect for a "rigid", "flexible" or "robot" system.
 
         Raises:
             MethodError: such a setting is not at its default.
@@ -139,7 +139,7 @@ class Method(Protocol):
         self, model: Any, logs: Sequence[Sequence[Record]], filtering: Filtering, known: Mapping[str, Parameter],
         progress: Progress,
     ) -> Estimate:  # fmt: skip
-        """Identify one of `robots` from the records of its joints, one log or several, with what is known by name."""
+        """Identify one of `robots` from its joints' records, one or more logs."""
         ...
 
 

@@ -88,7 +88,7 @@ def _check_outputs(outputs: Sequence[str]) -> None:
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class DIDIM(Method):
-    """Settings of DIDIM; some are of a rigid or a flexible joint, or of a robot, alone."""
+    """Settings of DIDIM; some apply only to rigid, flexible or robot systems."""
 
     name = "didim"
     title = "DIDIM"
@@ -121,7 +121,7 @@ class DIDIM(Method):
     )
 
     def identify(self, task: Task) -> Estimate:
-        """Identify a joint from torque and reference; a motor position in the record is not read.
+        """Identify a joint from torque and reference; a motor position is unused.
 
         The filter goes over torque and columns alike. The mode of a flexible joint must lie below the cut-off.
 
@@ -181,7 +181,7 @@ class DIDIM(Method):
     identify_robot = identify_simulated_robot
 
     def solve(self, task: Task, history: History) -> Solved:
-        """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
+        """Search for the least torque error from all starts, linear laws first."""
         model, problem = task.joint.model, _pose(task)
         linear = problem if problem.joint == problem.joint.linear else problem.with_joint(problem.joint.linear)
         require_free(linear.free_joint)
@@ -197,10 +197,10 @@ class DIDIM(Method):
         return from_linear_laws(problem, solved, history)
 
     def _near_delay(self, task: Task, history: History) -> Task:
-        """Return the task at a delay near the best, where it is free and none is declared.
+        """Set the delay near its best value, if free and not declared.
 
-        A wrong delay turns the phase of a mode and of the loop, which other joints explain as well: a rigid joint is
-        searched below resonance from each of a row of delays, and the best end decides.
+        A wrong delay changes the phase of a mode and of the loop, which other joints explain as well. A rigid joint is
+        therefore searched below resonance from several delays, and the best end decides.
         """
         loop = task.loop
         if loop is None or DELAY not in self.free or numbers_of(loop.controller).get(DELAY) != 0.0:
@@ -217,9 +217,9 @@ class DIDIM(Method):
 
 
 def _pose(task: Task) -> ClosedLoopProblem:
-    """Return the problem of a task; a flexible joint is at rest at the first sample, where its load makes it hang.
+    """Pose the problem; a flexible joint begins at rest in balance.
 
-    Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
+    The motor position of a rigid model is no guide for a flexible joint: its error exceeds its deviations.
     """
     assert task.loop is not None
     problem = torque_problem(task.record, task.loop, task.filtering, task.parameters)

@@ -1,4 +1,4 @@
-"""The drive side of a joint: identification without a controller, along the motion that its motor made.
+"""Identification of a joint without controller, along its measured motor motion.
 
 Torque and motor position are enough, without a load encoder. The motor's motion comes from the record, filtered, and is
 prescribed; the load is simulated behind it (`simulation.drive_side`), and the torque this takes is compared with the
@@ -62,7 +62,7 @@ def motion_problem(
     parameters: tuple[Parameter, ...],
     delay: Parameter,
 ) -> ClosedLoopProblem:
-    """Return the problem of reproducing the torques of records along their motor's motion, late by ``log_delay``."""
+    """Problem of records' torques along measured motor motion, late by ``log_delay``."""
     require_free(parameters)
     flexible = setup.joint.model == "flexible"
     logs = [_motion_log(record, setup.joint, filtering) for record in records]
@@ -176,7 +176,7 @@ def _keep_reversals(log: Any) -> Any:
 
 
 def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
-    """Return the end of the search from a rigid joint below the resonance."""
+    """Search from a rigid joint below the resonance; return the end."""
     joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.parameters[-1]
     rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0

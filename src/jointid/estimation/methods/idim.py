@@ -1,4 +1,4 @@
-"""IDIM: the inverse dynamic model regressed on measured positions, by the estimator of choice.
+"""IDIM: inverse dynamic model regressed on measured positions, by several estimators.
 
 Torque and columns are those of `problems.inverse_model`, of a joint or of all joints of a robot at once; the estimators
 are those of `problems.regression`. A robot has base parameters and friction.
@@ -84,14 +84,14 @@ class IDIM(Method):
 
     @classmethod
     def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
-        """Return torque and motor position, and the load's where the joint is flexible."""
+        """Torque and motor position; also load position for a flexible joint."""
         return "torque", *POSITIONS[: 1 + (model == "flexible")]
 
     def identify(self, task: Task) -> Estimate:
-        """Identify a joint from torque and motor position, and load position where it is flexible.
+        """Identify a joint from torque, motor position and, if flexible, load position.
 
-        The standard deviations are those of the regression, robust to autocorrelation. What repeats with the motion is
-        not covered, nor, but by instruments, noise in the positions and disturbances that the loop carries into them.
+        The standard deviations are those of the regression, robust to autocorrelation. They do not cover errors that
+        repeat with the motion. Only instruments cover noise and disturbances in the positions.
 
         Raises:
             RecordError: a channel is missing or cannot be used.
@@ -128,8 +128,8 @@ class IDIM(Method):
         Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
 
         Args:
-            model: its geometry, gravity and coupling are taken as known; its masses are only what is compared with.
-                With controllers it is what the estimator "iv" simulates.
+            model: its geometry, gravity and coupling are taken as known; its masses serve only for comparison.
+                With controllers it is simulated by the estimator "iv".
             logs: of each joint a record, with torque and motor position behind the gear, on one clock.
             filtering: of positions and rows.
             known: values and bounds of friction to keep, by name as "joint1.viscous".
@@ -176,7 +176,7 @@ class IDIM(Method):
         warnings: Sequence[str] = (),
         **parts: Any,
     ) -> Estimate:
-        """Return the estimate of a joint or a robot, whose rows and other parts `state` makes of a solution."""
+        """Estimate of a joint or robot; `state` makes rows and other parts."""
         estimator: Estimator = self.estimator or ("weighted" if inverse.driven > 1 else "ols")
         motions, make, solved = inverse.measure_logs(logs, filtering), None, None
         if estimator == "iv" and loop is not None:
@@ -209,7 +209,7 @@ class IDIM(Method):
 
 
 def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
-    """Return the check whether least squares would have done in the place of instruments."""
+    """Check whether least squares would agree with the instruments."""
     rows, free = solved.rows, solved.free
     left = solved.residual + rows.W[:, free] @ solved.values[free]
     p_value = durbin_wu_hausman(rows.W[:, free], left, Z, rows.equations)
@@ -228,7 +228,7 @@ def _shows_zeros(found: Solution) -> bool:
 def torques_along(
     inverse: Inverse, motions: Sequence[MeasuredMotion], found: Solution
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the torques of the motors as measured, and as the log would show the model's, (samples, n) each."""
+    """Measured and modelled torques of the motors as logged, (samples, n) each."""
     n, measured, predicted = inverse.driven, list[FloatArray](), list[FloatArray]()
     for motion in (part for whole in motions for part in whole.split()):
         predicted.append(through_window(inverse.columns(motion)[:, :n] @ found.values, motion.filtering))
@@ -239,10 +239,10 @@ def torques_along(
 def simulate_columns(
     inverse: Inverse, loop: ClosedLoop | RobotLoop, logs: Sequence[Sequence[Record]], motions: Sequence[MeasuredMotion]
 ) -> Instruments:
-    """Return a function that computes instruments: the columns along the simulated motion of a candidate.
+    """Function that computes instruments: columns along a candidate's simulated motion.
 
-    Parameters outside of their bounds are simulated at the bound. Rows at which a measured mass rests or turns round
-    are left out, as of the measured ones; the motor of a joint begins as it did.
+    Parameters outside of their bounds are simulated at the bound. Rows at which a measured mass rests or reverses
+    are left out, as in the measured columns; the motor of a joint begins in its measured state.
 
     Raises:
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.

@@ -153,7 +153,7 @@ def export(
 
 
 def find_language(name: str) -> str:
-    """Name of a language, from its name or file suffix, in any case.
+    """Name of a language from its name or file suffix, any case.
 
     Raises:
         MethodError: there is none.

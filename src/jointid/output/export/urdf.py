@@ -94,7 +94,7 @@ def _fill_inertial(element: ET.Element, solid: MassProperties) -> None:
 
 
 def _angles(rotation: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw about fixed axes; yaw 0 at pitch 90 deg."""
+    """Roll, pitch and yaw about fixed axes; yaw 0 at 90° pitch."""
     level = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch = math.atan2(-rotation[2, 0], level)
     if level < 1e-12:
