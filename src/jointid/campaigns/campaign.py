@@ -139,7 +139,7 @@ def load_campaign(path: Path) -> Campaign:
 
 
 def _list_fleet(fleet: FleetTable, folder: Path) -> tuple[list[Case], str]:
-    """Return the unchanged cases of a fleet, and a description of files left out."""
+    """Return a fleet's unchanged cases and a description of omissions."""
     records, undated = _match_records(folder, fleet.records)
     rows = dict.fromkeys(records, ()) if fleet.table is None else _read_table(folder / fleet.table)
     found, without, text_of = list[Case](), list[str](), cache(_read_joint)
@@ -164,7 +164,7 @@ def _some(names: list[str]) -> str:
 
 
 def _match_records(folder: Path, pattern: str) -> tuple[Mapping[str, list[tuple[str, str, str]]], list[str]]:
-    """Return path, stamp and day of matching records by joint, and undated paths."""
+    """Return path, stamp and day of records by joint; undated paths."""
     whole = os.path.normpath(folder / pattern).replace(os.sep, "/")
     shape, root = re.compile(_expression(whole)), Path(whole).anchor
     stars = re.sub(r"(\{\w+\}|\*)+", "*", whole[len(root) :]).replace("[", "[[]")
@@ -179,7 +179,7 @@ def _match_records(folder: Path, pattern: str) -> tuple[Mapping[str, list[tuple[
 
 
 def _expression(pattern: str) -> str:
-    """Return the regular expression of a pattern; a repeated placeholder matches the same text."""
+    """Return a pattern's regular expression; repeated placeholders match the same text."""
     parts = list[str]()
     for piece in re.split(r"(\{\w+\}|\*+)", pattern):
         if piece in _PLACEHOLDERS:
@@ -200,7 +200,7 @@ def _stamp_of(record: Path) -> str:
 
 
 def _day(said: str | None, stamp: str) -> str:
-    """Return the date as 2026-11-23, from file name or stamp; empty if unknown."""
+    """Return the date as 2026-11-23, of name or stamp, or empty."""
     if said is not None:
         digits = said.replace("-", "")
         return f"{digits[:4]}-{digits[4:6]}-{digits[6:]}"
@@ -210,7 +210,7 @@ def _day(said: str | None, stamp: str) -> str:
 
 
 def _read_joint(path: Path) -> str:
-    """Read a joint file; make a robot's model path absolute and add its digest."""
+    """Read a joint file; add the digest of a robot's model."""
     text = read_text(path)
     try:
         tables: Any = parse_toml(text)

@@ -1,4 +1,4 @@
-"""Series of a joint by day, and the control chart of significant changes.
+"""Series of a joint by day, and tests for significant changes.
 
 For runs ``y_i`` with standard deviations ``s_i``, each shape ``c`` of change, a step before any of the runs or a trend
 over the days, is fitted by weighted least squares,
@@ -99,7 +99,7 @@ def best_change(series: Series) -> Change | None:
 
 
 def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[Change, ...]:
-    """Best change of every series, sorted by p-value; Holm's procedure marks significant ones."""
+    """Best change of every series by p-value, tested by Holm's procedure."""
     found = sorted((one for each in series if (one := best_change(each)) is not None), key=lambda one: one.p_value)
     named = 0
     while named < len(found) and found[named].p_value <= false_alarm / (len(found) - named):
@@ -204,7 +204,7 @@ class Loss:
 
 
 def losses_of(rows: Sequence[Row]) -> Iterator[Loss]:
-    """Yield joints and quantities without a value in at least three last runs."""
+    """Yield joints and quantities without a value in recent runs."""
     for (joint, changes), runs in _by_joint(rows).items():
         answered = [row.outcome is Outcome.IDENTIFIED for row in runs]
         since = _runs_since(answered)

@@ -81,7 +81,7 @@ class CampaignReport(Documented):
         return self.verdict[0]
 
     def to_document(self, *, details: bool = False, pictures: bool = False) -> Document:
-        """Return the report; `details` gives all table rows, `pictures` adds plots over days."""
+        """Return the report; `details` gives all rows, `pictures` adds plots."""
         most = None if details else _SHOWN
         counts = Counter(row.outcome for row in self.rows)
         ends = ", ".join(f"{count} {outcome}" for outcome in Outcome if (count := counts[outcome]))
@@ -230,7 +230,7 @@ def _pictures(changes: Sequence[Change], series: Sequence[Series], losses: Seque
 
 @styled
 def _draw(shown: Sequence[_Shown]) -> Figure:
-    """Draw series over days, with a marked run and the levels of a change."""
+    """Draw series over days, with a marked run and levels."""
     figure, drawn = panels([220] * len(shown), 2)
     for axes, (of, said, since, change) in zip(drawn, shown, strict=True):
         days, at = of.days - of.days[0], of.labels.index(since)

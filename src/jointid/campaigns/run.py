@@ -1,4 +1,4 @@
-"""Run of a campaign: cases go to an executor, results to one file of lines.
+"""Run of a campaign: cases, their executor, and a results file.
 
 The `concurrent.futures.Executor` has local processes or the workers of a Dask cluster. A dying worker takes its
 executor or case with it. Each affected case is retried alone; a case that kills two workers alone is set aside.
@@ -355,7 +355,7 @@ def run_cases(
 
 
 def _run_together(waiting: Iterator[Case], engine: Engine, carry: Carry, keep: Keep) -> list[Case]:
-    """Execute cases until done or a worker dies; return those left under way."""
+    """Execute cases until done or a worker dies; return unfinished ones."""
     affected, under_way = list[Case](), dict[Future[Row], Case]()
     with engine() as (executor, capacity):
         while True:

@@ -1,1 +1,1 @@
-"""Common to all folders: errors a user can meet, units, settings, messages, documents."""
+"""Common to all folders: errors, units, settings, messages, documents."""

@@ -67,7 +67,7 @@ class Room(threading.local):
         self._bytes: dict[str, NDArray[np.uint8]] = {}
 
     def array(self, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
-        """Return an uninitialised, cache-aligned array; it invalidates the previous one of that name."""
+        """Return an uninitialised, cache-aligned array, invalidating the previous one of that name."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         held = self._bytes.get(name)
         if held is None or not size <= held.size <= _WASTE * (size + _LINE):

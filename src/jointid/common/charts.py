@@ -1,4 +1,4 @@
-"""Common style of all Matplotlib figures, their panels, and output as SVG or PNG."""
+"""Style of all Matplotlib figures, their panels, and SVG or PNG output."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def render(figure: Figure, form: str, dpi: int = 150, name: str = "jointid") -> 
 
 
 def svg(figure: Figure, name: str) -> bytes:
-    """Render a figure as an SVG element with escaped text and unique ids."""
+    """Render a figure as SVG with escaped text and unique ids."""
     text = render(figure, "svg", name=name).decode()
     # Group ids repeat between figures of a page, and nothing refers to them.
     return re.sub(r'<g id="[^"]*"', "<g", text[text.index("<svg") :]).encode()

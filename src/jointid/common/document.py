@@ -1,4 +1,4 @@
-"""Results as documents of blocks, rendered as text, on a terminal or as HTML."""
+"""Results as documents of blocks: plain text, terminal or HTML."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Document:
         object.__setattr__(self, "blocks", kept)
 
     def text(self, width: int = WIDTH) -> str:
-        """Render as plain text with aligned columns; code and tables of numbers may be wider."""
+        """Render as plain text; code and tables of numbers may be wider."""
         drawn = io.StringIO()
         self.print(plain_console(file=drawn, width=width, color_system=None))
         return "\n".join(line.rstrip() for line in drawn.getvalue().splitlines())
@@ -197,7 +197,7 @@ def plain_console(**options: Any) -> Console:
 
 
 def _render(block: Block, console: Console) -> RenderableType:
-    """Return a block as a rich renderable; passed checks green, failed ones red."""
+    """Return a block as a rich renderable; passed checks are green."""
     from rich.table import Table as Grid
     from rich.text import Text
 
@@ -222,7 +222,7 @@ def _render(block: Block, console: Console) -> RenderableType:
 
 
 def _table(block: Table, console: Console) -> RenderableType:
-    """Return a table at least as wide as its numbers, which are never cut."""
+    """Return a table at least as wide as its numbers."""
     from rich.box import Box
     from rich.console import Group
     from rich.measure import Measurement
@@ -247,7 +247,7 @@ def _table(block: Table, console: Console) -> RenderableType:
 
 @cache
 def templates(*folders: Path) -> Environment:
-    """Return the HTML templates of folders and of `blocks.html`; all text is escaped."""
+    """Return the HTML templates of folders and `blocks.html`, with escaped text."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
 

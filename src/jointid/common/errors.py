@@ -19,7 +19,7 @@ class JointidError(Exception):
 
 
 class Fault(str):
-    """Sentence on a fault of a file, with its place and a code for programs.
+    """Sentence on a fault of a file, with place and code.
 
     Attributes:
         place: keys and indices of the faulty value; empty for a fault of the whole file.

@@ -64,7 +64,7 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
 
 
 def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> tuple[Path, ...]:
-    """Write files by name into a folder, each atomically, and return their paths."""
+    """Write files by name into a folder atomically; return their paths."""
     folder = Path(folder)
     with explain(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,7 @@ def open_file(path: str | os.PathLike[str]) -> IO[bytes]:
 
 
 def files_of(record: Path) -> list[Path]:
-    """Return the sorted files of a record, which is a file or a folder."""
+    """Return the sorted files of a record, a file or folder."""
     return sorted(each for each in record.rglob("*") if each.is_file()) if record.is_dir() else [record]
 
 
@@ -120,7 +120,7 @@ def lock(descriptor: int) -> bool:
 def explain(
     path: Path, done: str = "written", remedy: str = "free space there, or choose another place"
 ) -> Iterator[None]:
-    """Convert an `OSError` of a file or folder to a `RecordError` with a remedy."""
+    """Convert an `OSError` to a `RecordError` with path and remedy."""
     try:
         yield
     except OSError as error:
@@ -136,7 +136,7 @@ def _is_device(path: Path) -> bool:
 
 
 def _place_of(path: Path) -> Path:
-    """Resolve the path of a file or folder; refuse one without write permission."""
+    """Resolve a path; refuse one without write permission."""
     place = Path(os.path.realpath(path))
     if place.exists() and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))

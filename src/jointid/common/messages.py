@@ -141,5 +141,5 @@ def no_choice(value: object, choices: Iterable[str]) -> str:
 
 
 def describe_unexpected_value(value: object, expected: str) -> str:
-    """Describe an unexpected value; `expected` is in words, such as "a positive number"."""
+    """Describe an unexpected value and, in words, the expected one."""
     return f" is {format_value(value)}; expected {expected}: correct it."

@@ -81,7 +81,7 @@ class Parameter:
 
 
 def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
-    """Return the unit of a quantity for a joint's kind and torque unit.
+    """Return a quantity's unit for a joint's kind and torque unit.
 
     With torque in A or V, inertias and other parameters are per ampere or volt.
     """

@@ -34,7 +34,7 @@ def number(value: float | None, digits: int = 5, sign: str = "") -> str:
 
 
 def interval(value: float, spread: float) -> str:
-    """Format a value and its spread, both to the first two digits of the spread.
+    """Format a value and its spread to two digits of the spread.
 
     Example:
         >>> interval(70.401, 0.4712), interval(802861.0, 7276.0), interval(3.1e-7, 4.2e-6)

@@ -71,12 +71,12 @@ class Transmission:
 
     @property
     def motor(self) -> units.Kind:
-        """Kind of the motor's motion: rotary with a lead, else as the load."""
+        """Kind of the motor's motion: revolute with a lead, else the load's."""
         return self.load if self.lead is None else "revolute"
 
     @property
     def motor_per_load(self) -> float:
-        """Signed ratio r, in rad per rad, m per m, or rad per m."""
+        """Signed ratio r [rad/rad, m/m or rad/m]."""
         return self.sign * (self.ratio if self.ratio is not None else 2 * math.pi / (self.lead or 1.0))
 
     @property

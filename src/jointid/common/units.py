@@ -26,7 +26,7 @@ class UnitError(JointidError):
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit: dimension, factor to SI, SI name, powers of base units; products are unnamed."""
+    """A unit: dimension, factor to SI, SI name, powers; products are unnamed."""
 
     name: str
     dimension: str
@@ -104,7 +104,7 @@ _SPELLINGS = {
 
 
 def normalise_unit(name: str) -> str:
-    """Normalise the spelling of a unit, also of a plural; unknown ones stay."""
+    """Normalise the spelling of a unit; unknown ones are unchanged."""
     name = name.strip()
     spelt = (name, name.lower(), name.lower().removesuffix("s"))
     return next((_SPELLINGS[one] for one in spelt if one in _SPELLINGS), name)
@@ -144,7 +144,7 @@ def convert(number: float, unit: str, expected: str) -> float | None:
 
 
 def parse_quantity(text: str) -> tuple[float, str]:
-    """Parse a number with a unit, such as ``0.8 A s/rad`` or ``1000/min``."""
+    """Parse a number with a unit, such as ``0.8 A s/rad``."""
     found = QUANTITY.fullmatch(text)
     if found is None or not found["unit"].strip():
         raise UnitError('expected a number with its unit, as "0.8 A s/rad"')

@@ -33,7 +33,7 @@ def write(
     transmission: Transmission | None = None,
     **options: object,
 ) -> None:
-    """Write a record to a file that `jointid.read` restores with the same arguments.
+    """Write a record that `jointid.read` restores with the same arguments.
 
     Channels without a column are written in SI under their own names. The file does not contain the joint's kind, a
     torque unit A or V, and non-default settings of `Column`; reading needs them.

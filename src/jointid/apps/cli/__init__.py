@@ -1,4 +1,4 @@
-"""The command line: one file per command, each a thin call of a verb."""
+"""The command line: one file per command, which calls a verb."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ __all__ = ["main"]
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the program and exit; `arguments` are those of the command line when None.
+    """Run the program and exit, by default with the command line's arguments.
 
-    Ctrl-C ends the program at once while it is being loaded, which is most of a short command's time: nothing is being
-    written yet, and an exception might be swallowed by the module that is being loaded.
+    During loading, most of a short command's time, Ctrl-C ends the program at once: nothing is being written yet, and
+    the module being loaded might swallow an exception.
     """
     loading = arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if loading:

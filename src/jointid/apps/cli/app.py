@@ -1,4 +1,4 @@
-"""The program: its commands, and how errors leave it, with the exit codes of docs/commands.md."""
+"""The program: its commands and errors, with exit codes of docs/commands.md."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from jointid.apps.cli.simulate import design, reproduce, simulate
 from jointid.common.errors import JointidError
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
-_SIGNALLED = 128  # added to a signal's number it is the exit code
+_SIGNALLED = 128  # the exit code is this plus the signal's number
 _ENDING = "Exit codes, and options that most commands have, as --quiet: docs/commands.md"
 
 
 def _versions() -> str:
-    """Return a line for each of what computes an answer: this package, Python and the numerical packages."""
+    """Return the versions of this package, Python and the numerical packages."""
     lines = [f"jointid {__version__}", f"Python {platform.python_version()}"]
     for name in ("numpy", "scipy", "numba"):
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -71,15 +71,15 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
     """Run the program and exit.
 
     Args:
-        arguments: those of the command line when None.
-        signals: whether Ctrl-C and a request to end are this program's to answer.
+        arguments: None takes those of the command line.
+        signals: whether to handle SIGINT and SIGTERM.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     console.details = debug = "--debug" in words
-    # Matrices here are thousands of rows by ten columns: a second thread only waits for the first, and holds up others.
+    # Matrices here have thousands of rows and some ten columns: further threads only wait, and delay others.
     for library in ("OPENBLAS", "MKL"):  # each reads this once, when NumPy is loaded
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
+    # Skip the garbage collection at exit, which took 0.3 s of `identify`.
     atexit.register(gc.freeze)
     _prepare_outputs()
     warnings.showwarning = _show_warning  # type: ignore[assignment]
@@ -88,7 +88,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
             signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.signal(signal.SIGTERM, _leave)
         code = _finish(_run([word for word in words if word != "--debug"], debug))
-    except KeyboardInterrupt:  # once more, while the first was being answered
+    except KeyboardInterrupt:  # a second one, while the first was handled
         code = _say("Interrupted.", _SIGNALLED + signal.SIGINT)
     if signals:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -96,12 +96,12 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
 
 
 def _leave(number: int, _: object) -> NoReturn:
-    """End at once, as no exception can: a callback of a library may swallow one."""
+    """Exit at once; a library's callback may swallow an exception."""
     os._exit(_SIGNALLED + number)
 
 
 def _prepare_outputs() -> None:
-    """Replace characters that an output cannot show, and a closed output by the null device."""
+    """Replace unprintable characters, and closed outputs by the null device."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:  # it was closed before the program began
@@ -146,7 +146,7 @@ def _explain(error: BaseException) -> tuple[str, int]:
 
 
 def _finish(code: int) -> int:
-    """Print what is still held back, and return the exit code; a reader that has gone is no fault."""
+    """Flush the output, and return the exit code; ignore broken pipes."""
     put("", sys.stdout)
     failures = [error for error in console.unprinted if not isinstance(error, BrokenPipeError)]
     if not failures:
@@ -155,7 +155,7 @@ def _finish(code: int) -> int:
 
 
 def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
-    """Print a warning of a library, with --debug."""
+    """Print a library's warning if --debug is set."""
     if console.details:
         tell(warnings.formatwarning(message, category, filename, lineno).rstrip())
 

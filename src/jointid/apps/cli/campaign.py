@@ -1,4 +1,4 @@
-"""`jointid campaign`: many joints and their records, on one machine or on a cluster."""
+"""The command `jointid campaign`: many joints, on one machine or a cluster."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ def campaign(
     html: Path | None = None,
     quiet: Quiet = False,
 ) -> None:
-    """Identify all that a campaign file names, and report drift, outliers and scatter.
+    """Identify the records of a campaign file; report drift, outliers and scatter.
 
-    Given again, it goes on where it was ended. Ctrl-C, a kill or a full disk loses no result.
+    A repeated command continues where it was stopped. Ctrl-C, a kill or a full disk loses no result.
 
     Args:
         file: the campaign file (TOML).
         out: file of the results, one line each; without it the campaign file's name with .jsonl.
-        workers: processes, one for each core when 0.
-        dask: address of the scheduler of a Dask cluster that carries out the cases, as tcp://10.0.0.1:8786.
-        again: also try again what was refused, failed or set aside.
-        false_alarm: chance that any joint is named where none drifted, for all joints together.
-        details: all rows of every table, rather than a screen of them.
-        html: also write the report as one HTML page, with a picture of changes over the days.
-        quiet: say nothing of the progress.
+        workers: number of processes; 0 is one for each core.
+        dask: address of the scheduler of a Dask cluster that runs the cases, as tcp://10.0.0.1:8786.
+        again: also retry cases that were refused, failed or set aside.
+        false_alarm: probability that any joint of a fleet without drift is reported.
+        details: print all rows of every table.
+        html: also write the report as one HTML page, with a plot of changes over the days.
+        quiet: print no progress.
     """
     from jointid.campaigns.campaign import load_campaign
     from jointid.campaigns.report import CampaignReport

@@ -1,4 +1,4 @@
-"""Common to commands: options, where they print answers and progress, and what they may write."""
+"""Common to commands: options, output, progress and permitted files."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=(), show=False)]
 Axis: TypeAlias = Annotated[str | None, Parameter(show=False)]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
-"""Keys of the joint file that are changed before it is checked; every setting can be reached."""
+"""Changes to any keys of the joint file, applied before it is checked."""
 
 details = False
-"""Whether each step of a search is printed, too: with --debug."""
+"""Whether to print each step of a search (--debug)."""
 
 unprinted: list[OSError] = []
-"""Why the standard output takes nothing more: it is full, or its reader has gone."""
+"""Errors of the standard output: a full disk, or a closed pipe."""
 
 _BETWEEN = 10.0  # seconds between two lines on one stage
-_PATIENCE = 2.0  # seconds after which the simulation is not being loaded but compiled
-_BAR, _BESIDE = 12, 24  # characters of a line that are the bar's, and that are not the stage's
+_PATIENCE = 2.0  # seconds of loading after which the simulation must be compiling
+_BAR, _BESIDE = 12, 24  # width of the bar, and of all columns but the stage
 
 
 def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
-    """Refuse outputs that cannot be written, or would replace an input or each other.
+    """Refuse outputs that cannot be written or would replace another file.
 
     Args:
-        outputs: files; None is none.
-        inputs: likewise; a folder stands for the files in it.
+        outputs: files; None is ignored.
+        inputs: likewise; a folder includes the files in it.
 
     Raises:
         RecordError: an output cannot be written, is also an input, or is named twice.
@@ -69,7 +69,7 @@ def spare(outputs: Iterable[Path | None], *inputs: Path | None) -> None:
 
 
 def require_kinds(joint: Path | None, *records: Path) -> None:
-    """Raise a `RecordError` where a record stands in the place of a joint file, or the reverse, by their suffixes."""
+    """Refuse a record in place of a joint file, or the reverse."""
     from jointid.records.formats import FORMATS
 
     if joint is not None and any(joint.suffix.lower() in entry.suffixes for entry in FORMATS):
@@ -85,15 +85,15 @@ def require_kinds(joint: Path | None, *records: Path) -> None:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """The options that most commands have.
+    """Options of most commands.
 
     Attributes:
         records: the record, instead of the one the joint file names; identify takes several, in one fit.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
-        axis: of a robot file the name of one joint, which is taken alone, as if no other joint moved.
-        again: search again, whatever was found before in the same record, file and version.
+        axis: name of one joint of a robot file, which is taken alone, with the others at rest.
+        again: search again, even if an estimate of the same record, file and version is kept.
         json: also write the answer as JSON to this file.
-        quiet: say nothing of the progress.
+        quiet: print no progress.
     """
 
     records: Annotated[tuple[Path, ...], Parameter(name="--record", negative=())] = ()
@@ -105,10 +105,10 @@ class Options:
 
     @property
     def record(self) -> Path | None:
-        """The record that is named.
+        """The record given by --record, if any.
 
         Raises:
-            MethodError: several are.
+            MethodError: several are given.
         """
         if len(self.records) > 1:
             raise MethodError(f"This takes one record; received {len(self.records)} times --record: name one.")
@@ -116,7 +116,7 @@ class Options:
 
     @property
     def progress(self) -> Progress:
-        """The listener to progress."""
+        """Listener to progress."""
         return listen(self.quiet)
 
     def load(
@@ -126,18 +126,18 @@ class Options:
         alone: bool = False,
         method: str = "",
     ) -> File:
-        """Load the joint file or robot file with its changes; see `jointid.config.load`.
+        """Load a joint or robot file with changes; see `jointid.config.load`.
 
         Args:
             joint: the file.
-            outputs: what the command writes, beside the JSON.
-            alone: whether the work is for a joint.
-            method: of a joint, whatever the file says.
+            outputs: files that the command writes, except the JSON.
+            alone: whether the command takes a single joint only.
+            method: method of a joint, instead of the file's.
 
         Raises:
             JointFileError: it cannot be loaded.
-            MethodError: it is a robot file, and the work is for a joint.
-            RecordError: an output is refused, see `spare`, or a record stands for the file.
+            MethodError: it is a robot file, and the command takes a joint.
+            RecordError: an output is refused, see `spare`, or a record is given instead of the file.
         """
         from jointid.config import load
 
@@ -155,20 +155,20 @@ class Options:
     def identify(
         self, file: File, *, several: bool = False, whole: bool = False, window: float | None = None, **asked: Any
     ) -> tuple[Any, Estimate]:
-        """Read the record of a joint or a robot, and identify it as `find` does.
+        """Read the record of a joint or robot, and identify by `find`.
 
         Args:
-            file: as `load` returns it.
-            several: whether several records, where they are named or listed, are identified in one fit.
-            whole: whether to identify at once, and refuse a record that is too long for it.
-            window: seconds of the windows of a log, which is read in chunks.
+            file: result of `load`.
+            several: whether to identify several records, given or listed, in one fit.
+            whole: whether to refuse a record that is too long to identify at once.
+            window: length of the windows of a log that is read in chunks [s].
             asked: further arguments of `find`.
 
         Returns:
-            The record, None of several; and the estimate.
+            The record, None for several, and the estimate.
 
         Raises:
-            JointidError: the record cannot be read, or the joint cannot be identified from it.
+            JointidError: the record cannot be read, or the identification fails.
         """
         from jointid.diagnostics.explain import explain_failure
         from jointid.estimation.identify import windows_of
@@ -195,9 +195,9 @@ class Options:
         checks: bool = True,
         first: Callable[[Estimate], object] = lambda _: None,
     ) -> Estimate:
-        """Return the kept estimate of a record, or identify it and keep the estimate.
+        """Return the stored estimate of a record, or identify and store it.
 
-        Without a record it is of all that are named. `first` receives the estimate before its checks are made.
+        None stands for all given or listed records. `first` receives the estimate before its checks.
         """
         from jointid.diagnostics.identify import UNCHECKED, check_later
         from jointid.estimation.identify import windows_of
@@ -218,7 +218,7 @@ class Options:
         found = None if self.again else recall(place_of(file), file, key)
         if found is not None and not (checks and UNCHECKED in map(str, found.checks)):
             return found
-        if file.robot is None:  # the engine of a robot is another
+        if file.robot is None:  # robots have another simulation
             ready(progress)
         if record is None:
             found = save(file.identify_together(self.records, progress))
@@ -234,20 +234,20 @@ DEFAULTS = Options()
 
 
 def place_of(file: File) -> Path:
-    """Return the path of the kept estimate, beside the joint file or robot file."""
+    """Return the path of the stored estimate, beside the joint file."""
     return file.path.with_suffix(".estimate.json")
 
 
 def show(line: object) -> None:
-    """Print a line; control characters of names in a file are not sent to the terminal."""
+    """Print a line, with control characters escaped."""
     clear_bars()
     put(f"{printable(str(line))}\n", sys.stdout)
 
 
 def show_result(result: Documented, *, details: bool = False, shown: Sequence[Document] = ()) -> Document:
-    """Print a result, in colour on a terminal, optionally with all details; return it as a document.
+    """Print a result, in colour on a terminal; return its document.
 
-    Of what was `shown` before its title alone is printed again.
+    Blocks of documents in `shown` are not printed again.
     """
     from jointid.common.document import plain_console
 
@@ -264,12 +264,12 @@ def show_result(result: Documented, *, details: bool = False, shown: Sequence[Do
 
 
 def tell(message: str) -> None:
-    """Print a line on the standard error."""
+    """Print a line to the standard error."""
     put(f"{printable(message)}\n", sys.stderr)
 
 
 def put(text: str, stream: IO[str]) -> None:
-    """Print at once; where that fails nothing more is printed there, and the command goes on to write its files."""
+    """Print and flush; after an error, discard further output to the stream."""
     try:
         stream.write(text)
         stream.flush()
@@ -280,12 +280,12 @@ def put(text: str, stream: IO[str]) -> None:
 
 
 class Bars:
-    """Draws on the standard error one line that is rewritten: a bar with the stage, and the seconds it has taken.
+    """A progress line on the standard error: bar, stage and seconds.
 
-    What is done leaves nothing there, but for a sentence that is longer than a line.
+    The line is removed at the end; sentences that are longer than a line remain.
 
     Args:
-        console: to draw on; one of the standard error when None.
+        console: to draw on; None takes the standard error.
     """
 
     def __init__(self, console: Console | None = None) -> None:
@@ -309,7 +309,7 @@ class Bars:
             self._bar.start()
 
     def clear(self) -> None:
-        """Take the line off."""
+        """Remove the line."""
         self._bar.stop()
 
 
@@ -317,7 +317,7 @@ _bars = lru_cache(maxsize=1)(Bars)
 
 
 def listen(quiet: bool) -> Progress:
-    """Return the listener to progress: bars on a terminal, else a line for each stage; with --debug every detail."""
+    """Return a progress listener: bars on a terminal, lines elsewhere."""
     if quiet:
         return ignore_progress
     if details:
@@ -355,7 +355,7 @@ def deliver(result: Documented, json: Path | None = None, **printed: Any) -> Non
 
 
 def ready(listener: Progress, *, derivatives: bool = True) -> None:
-    """Load the compiled simulation and its derivatives, and explain a long compilation."""
+    """Load the compiled simulation and its derivatives; report a long compilation."""
     from jointid.simulation.warm_up import warm_up
 
     said = "loading the simulation; the first time on a machine it is compiled, in a minute or two of processor time"

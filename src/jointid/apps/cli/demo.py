@@ -1,4 +1,4 @@
-"""The command `jointid demo`: an axis, a robot or a fleet to try the program on, simulated, with its truth."""
+"""The command `jointid demo`: a simulated axis, robot or fleet."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FIRST_DAY = datetime.date(2026, 10, 1)
 _JOINTS, _DAYS = 4, 9
 _FALL = 0.1  # of a stiffness
 SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "motor_viscous": 0.03, "load_viscous": 0.03}
-"""Standard deviation from day to day, as a share of the value."""
+"""Standard deviation from day to day, relative to the value."""
 
 
 def demo(
@@ -54,7 +54,7 @@ def demo(
         folder: where to write, new or empty; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
         robot: a robot of two joints instead, one of them flexible, from torques alone.
         fleet: the records of four axes over nine days instead, of which the stiffness of one falls.
-        quiet: say nothing of the progress.
+        quiet: print no progress.
     """
     if robot and fleet:
         raise MethodError("A demo is of a robot or of a fleet; leave out --robot or --fleet.")
@@ -73,7 +73,7 @@ def demo(
         else:
             name, truth = _write_robot(fresh) if robot else _write_axis(fresh)
             said = _identify(fresh, name, truth, listener)
-        folder.mkdir(exist_ok=True)  # it may be the folder in which the command runs, which cannot be replaced
+        folder.mkdir(exist_ok=True)  # it may be the current folder, which cannot be replaced
         for path in fresh.iterdir():
             path.rename(folder / path.name)
     show(said)
@@ -87,7 +87,7 @@ def demo(
 
 
 def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
-    """Identify as the file of this name says, write answer and figure, and return them beside the truth."""
+    """Identify by the file; write answer and figure; return a comparison."""
     from jointid import figures
     from jointid.estimation.result.summary import parameters_table
 
@@ -103,7 +103,7 @@ def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
 
 
 def _write_axis(folder: Path) -> tuple[str, Mapping[str, float]]:
-    """Write the record and joint file of the twin, and return the file's name and the twin's truth."""
+    """Write the twin's record and joint file; return name and truth."""
     from jointid import twin, write
     from jointid.paper.twin import JOINT_FILE
 
@@ -114,7 +114,7 @@ def _write_axis(folder: Path) -> tuple[str, Mapping[str, float]]:
 
 
 def _write_robot(folder: Path) -> tuple[str, Robot]:
-    """Write the record, file and model of a robot, and return the file's name and the robot."""
+    """Write a robot's record, file and model; return name and robot."""
     from jointid.config import load
 
     for name in ("robot.toml", "robot.xml"):
@@ -126,7 +126,7 @@ def _write_robot(folder: Path) -> tuple[str, Robot]:
 
 
 def _simulate_robot(loop: RobotLoop) -> tuple[Robot, tuple[Record, ...]]:
-    """Return a heavier robot with friction, and the records of its drives."""
+    """Return a heavier robot with friction, and its records."""
     import numpy as np
 
     from jointid import Channel, Record, excitation, simulate
@@ -153,9 +153,9 @@ def _simulate_robot(loop: RobotLoop) -> tuple[Robot, tuple[Record, ...]]:
 
 
 def _write_fleet(folder: Path) -> str:
-    """Write the records of a fleet and its files: the twin's axis with parameters that scatter from day to day.
+    """Write the records and files of a fleet of twins.
 
-    The stiffness of the first joint falls, from a day between a third and two thirds on.
+    Parameters scatter from day to day. The stiffness of the first joint drops in the middle third of the days.
     """
     import numpy as np
 

@@ -34,7 +34,7 @@ def identify(
             identified in windows, and tested for drift.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
-        no_checks: leave out the checks, which the answer says.
+        no_checks: leave out the checks; the answer then says so.
     """
     from jointid import figures, validate
     from jointid.estimation.result.estimate import IN_WINDOWS
@@ -97,16 +97,16 @@ def tune(
     phase_margin: float = 45.0,
     notch: bool = True,
 ) -> None:
-    """Propose gains, and tell the margins of the loop.
+    """Propose gains, and report the margins of the loop.
 
     The joint is identified by didim first.
 
     Args:
         joint: the joint file (TOML).
         options: those that most commands have.
-        gain_margin: that the proposed loop keeps in the worst case, a ratio; 2 is 6 dB.
+        gain_margin: of the proposed loop in the worst case, a ratio; 2 is 6 dB.
         phase_margin: likewise, degrees.
-        notch: whether one may be proposed.
+        notch: whether a notch filter may be proposed.
     """
     from jointid import tune as run
 
@@ -127,20 +127,20 @@ def payload(
     json: Path | None = None,
     quiet: Quiet = False,
 ) -> None:
-    """Weigh what a robot carries: mass, centre and inertia.
+    """Identify a robot's payload: mass, centre and inertia.
 
-    From a record without it and one with it.
+    From a record without the payload and one with it.
     By IDIM from motor positions and torques, by DIDIM from torques and references, or on the drive side from torques
     and motor positions of a flexible robot, as the robot file asks.
 
     Args:
         robot: the robot file (TOML), which has the table [robot].
         with_: the record with the payload.
-        without: the record without it, of the same or another motion; that of the file when None.
+        without: the record without it, of the same or another motion, instead of the file's.
         changes: a key of the robot file and its value, as method.estimator=ols; may be given several times.
-        again: search again, whatever was found before.
+        again: search again, even if an estimate is kept.
         json: also write the answer as JSON to this file.
-        quiet: say nothing of the progress of searches.
+        quiet: print no progress.
     """
     from jointid.estimation.robots.bodies import identify_payload
 

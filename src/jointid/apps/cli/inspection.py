@@ -1,4 +1,4 @@
-"""The commands `jointid inspect` and `diagnose`: what is in a record, and whether all is as it is declared."""
+"""The commands `jointid inspect` and `diagnose`: contents and faults of records."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Decimal: TypeAlias = Literal[".", ","]
 Header: TypeAlias = Annotated[bool | None, Parameter(negative="--no-header")]
 
 FAULTY = 3
-"""Exit code where something is wrong with the record, or something is found."""
+"""Exit code for a faulty record, or for any finding."""
 
 
 def inspect(
@@ -37,18 +37,18 @@ def inspect(
 ) -> None:
     """List what is in a file, channel by channel.
 
-    Each with its rows, unit, sample time and range.
-    Any format that records are read from, and the folder of a ROS 2 bag or of several files. The answer says what is
-    taken for a clock, and whose log it is, if known.
+    Each channel is listed with its rows, unit, sample time and range.
+    The file has any format of records, or is the folder of a ROS 2 bag or of several files. The answer names the clock,
+    and the drive if recognised.
 
     Args:
         file: the file, or the folder of a bag.
-        delimiter: of a text file, where it is not found by itself.
-        decimal: mark of a text file, likewise.
-        header: whether a text file names its columns, likewise.
+        delimiter: of a text file; detected by default.
+        decimal: decimal mark of a text file; detected by default.
+        header: whether a text file names its columns; detected by default.
         json: also write the answer as JSON to this file.
         write: also write a joint file that reads the log, never over a file.
-        axis: number or name of its axis, where the log has several.
+        axis: number or name of the axis, if the log has several.
     """
     from jointid import inspect as look
     from jointid.config.loading import describe_log
@@ -60,7 +60,7 @@ def inspect(
     options = {"delimiter": delimiter, "decimal": decimal, "header": header}
     found = look(file, **{name: value for name, value in options.items() if value is not None})
     text = ""
-    if write is not None:  # what it refuses comes before any file
+    if write is not None:  # refuse before any file is written
         text = describe_log(found, Path(os.path.relpath(file.absolute(), write.absolute().parent)).as_posix(), axis)
     deliver(found, json)
     if write is not None:
@@ -69,19 +69,19 @@ def inspect(
 
 
 def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False) -> int:
-    """Find what is wrong with record, loop, log and joint.
+    """Find faults of record, loop, log and joint.
 
-    First the record: its clock, the torque and its limit, the motion, the controller (where the motor's position was
-    logged). Then, of each axis, what is left once it is identified and what that follows, which parameters are known,
-    and which faults of loop, log and mechanics the record shows; of [[records]] of each. Where no joint can be
-    identified the record is still reported on. Exit code 0 where nothing is found, 3 where something is.
+    First the record: its clock, the torque and its limit, the motion, the controller (if the motor position was
+    logged). Then, for each axis, the residual and its correlations, the identifiable parameters, and the faults of
+    loop, log and mechanics that the record shows; of [[records]], each one. If the identification fails, the record
+    is still reported. The exit code is 0 without findings, else 3.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]. A joint whose controller is declared
             is identified by didim.
         options: those that most commands have.
-        laws: also compare the laws of spring and friction, each by how well it predicts parts of the record that were
-            kept from its fit.
+        laws: also compare the laws of spring and friction, each by its prediction of parts of the record that it was
+            not fitted to.
     """
     file = options.load(joint)
     if file.robot is None and file.loop is not None:
@@ -97,7 +97,7 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
 
 
 def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Diagnosis:
-    """Diagnose one record, print what is found, and write it."""
+    """Diagnose one record, and print and write the findings."""
     from jointid.diagnostics.diagnose import diagnose as run
     from jointid.diagnostics.diagnosis import Diagnosis, Symptom
 

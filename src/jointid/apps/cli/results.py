@@ -28,9 +28,9 @@ def report(
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
         html: the page, one file that opens without a network.
-        no_profiles: do not follow the criterion along stiffness and compliance.
+        no_profiles: leave out the profiles of the criterion along stiffness and compliance.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
-        held_out: another record, that the estimate has not seen, which it is held against.
+        held_out: a record that the estimate has not seen, for validation.
     """
     from jointid import Report, figures
     from jointid import validate as validate_estimate
@@ -66,8 +66,8 @@ def report(
 def validate(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     """Test whether an estimate predicts another record.
 
-    The joint or the robot is identified from the record that its file names, and held against --record; of two, from
-    the first. On its own record that is the direct test, which only says what is left.
+    The joint or robot is identified from the record that its file names, or from the first of two --record. The
+    estimate then predicts the last --record. On its own record this is the direct test, which only gives the residual.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
@@ -113,19 +113,19 @@ def export(
 ) -> None:
     """Write an estimate for another tool.
 
-    What its language cannot represent is listed.
-    The ending of the file says for which: .toml a joint file with the values filled in, .mat a linear state space for
+    Values that the format cannot represent are listed.
+    The file's ending selects the format: .toml a joint file with the values filled in, .mat a linear state space for
     MATLAB and SciPy, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator of Isaac Lab; mjlab needs --format.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]; MJCF and URDF have bodies that fit.
-        record: that it is identified from, instead of the one the joint file names.
+        record: to identify from, instead of the one the joint file names.
         changes: a key of the joint file and its value, as method.frequency=30, or a setting of the language, as
             export.timestep=1e-3 or export.side=motor; may be given several times.
-        axis: of a robot file the name of the one joint that the estimate is of.
-        again: search again, whatever was found before.
+        axis: name of the joint of a robot file to export alone.
+        again: search again, even if an estimate is kept.
         out: the file to write.
-        format: the language by its name, as joint-file, instead of the one the ending of the file means.
+        format: name of the language, as joint-file, instead of the one that the file's ending implies.
     """
     from jointid.config.toml import apply_changes
     from jointid.output.export import export as run

@@ -1,4 +1,4 @@
-"""`jointid serve`: the page in the browser, for those who do not use a terminal; to this machine alone."""
+"""The command `jointid serve`: the page in the browser."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from jointid.apps.cli.console import show, tell
 from jointid.common.errors import JointidError, extra
 from jointid.common.files import explain, lock, require_room
 
-_HOST = "127.0.0.1"  # which no other machine reaches
-_TOKEN = 24  # bytes that nobody guesses
+_HOST = "127.0.0.1"  # not reachable from other machines
+_TOKEN = 24  # random bytes
 
 
 def serve(
@@ -22,13 +22,13 @@ def serve(
 ) -> None:
     """Serve the page in the browser.
 
-    A log is dropped on it, its columns are mapped, and the joint is identified.
-    The printed address holds a token, new at each start: who has it uses the page, and nobody else does. Nothing leaves
+    The page takes a log, maps its columns and identifies the joint.
+    The printed address contains a token, new at each start; only users of this address have access. No data leaves
     this machine. Ctrl-C stops the page; the record and the answers stay in the folder.
 
     Args:
-        port: to listen at; 0 takes a free one.
-        folder: in which records and answers are kept; it is made if it is not there.
+        port: to listen on; 0 takes a free one.
+        folder: for records and answers; it is created if missing.
     """
     for module in ("uvicorn", "starlette", "python_multipart"):
         extra(module, "web", "The page")

@@ -1,4 +1,4 @@
-"""The commands `jointid design`, `simulate` and `reproduce`: tests that are planned, or only simulated."""
+"""The commands `jointid design`, `simulate` and `reproduce`: planned and simulated tests."""
 
 from __future__ import annotations
 
@@ -81,10 +81,10 @@ def design(
 
 
 def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
-    """Plan the test of a robot from a record, or from its model alone."""
+    """Plan the test of a robot from a record or its model."""
     from jointid import design
 
-    # Of a motion that was never played nothing is logged: such a robot is predicted without.
+    # A motion that was never played has no logged feed-forward, so it is predicted without.
     asked |= {"filtering": file.filtering, "loop": file.loop if file.method.simulates else None}
     asked |= {"feed_forward": file.feed_forward.replace("logged", "none")}
     known = all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
@@ -92,7 +92,7 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
         try:
             records, estimate = options.identify(file)
             return design(estimate, records, **asked)
-        except RecordError as error:  # references to simulate, or a log that is still to be made
+        except RecordError as error:  # the log holds references only, or is not made yet
             if options.record is not None or not (known or asked["motion"]):
                 raise
             show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
@@ -117,7 +117,7 @@ def simulate(
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
-        identified: with the parameters that the record of the file gives instead; of two --record, the first.
+        identified: use parameters identified from the file's record, or from the first of two --record, instead.
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
     """
@@ -143,14 +143,14 @@ def simulate(
 
 
 def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> tuple[Any, Any, Any]:
-    """Return the simulation of a joint, what its drive would log, and its document."""
+    """Return a joint's simulation, the drive's record, and the summary."""
     from jointid import simulate as run
     from jointid.output.json import simulation_answer
     from jointid.simulation.simulate import require_success
 
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
-    # What is written begins with its first sample, from where a position loop's offset will be counted.
+    # The written record begins at 0, to which a position loop's offset refers.
     driven = replace(file.record(options.record, driving=True), begin=0.0)
     values = file.axis.values() if estimate is None else estimate.require_values()
     ready(options.progress, derivatives=False)
@@ -162,7 +162,7 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
 
 
 def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> tuple[Any, Any, Any]:
-    """Return the simulation of a robot, what its drives would log, and its document."""
+    """Return a robot's simulation, the drives' records, and the summary."""
     from jointid import simulate as run
     from jointid.output.json import simulation_answer
     from jointid.simulation.simulate import require_success
@@ -190,9 +190,9 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     Its tables show printed, recomputed and newly identified values.
 
     Args:
-        out: folder for the HTML page, the Markdown page and the figures; it is made if it is not there.
+        out: folder for the HTML page, the Markdown page and the figures; it is created if missing.
         seed: of the noise; the same seed gives the same bytes.
-        quiet: say nothing of the progress.
+        quiet: print no progress.
     """
     from jointid.common.charts import render
     from jointid.output.figures import torque

@@ -1,1 +1,1 @@
-"""The page in the browser: the same verbs for someone who has never seen a terminal, on this machine only."""
+"""The web page: the program in a browser, on this machine only."""

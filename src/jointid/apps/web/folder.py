@@ -1,7 +1,7 @@
-"""A folder of the page: records with what its forms say, or an identification; and the processes that work in it.
+"""Folders of the page, and the processes that work in them.
 
-A process may be cancelled or crash while the page stays up. Names that begin with `_` are the page's own; no upload has
-such a name.
+A folder holds records with the texts of the forms, or an identification. A process may be cancelled or crash while the
+page stays up. Names that begin with `_` are reserved for the page; no upload has such a name.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from jointid.common.errors import JointidError, RecordError
 from jointid.common.files import write_whole
 
 UPLOAD = 256 * 2**20  # bytes of one upload
-MEMORY = 5 * 2**30  # bytes of addresses of each process that reads or identifies, on Linux
-READING, IDENTIFYING = 300, 3600  # seconds of processor that reading, and each command of an identification, may take
+MEMORY = 5 * 2**30  # bytes of address space of each worker process, on Linux
+READING, IDENTIFYING = 300, 3600  # seconds of processor time for reading, and for each command of an identification
 MODELS = (".urdf", ".xml", ".mjcf")  # suffixes of a robot's model
 
 
 class PageError(JointidError):
-    """A request that the page refuses, in a sentence."""
+    """A request that the page refuses; the message explains it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """A folder of records with what the forms say of them, or a run with its joint file or robot file."""
+    """A folder of records and form texts, or of an identification."""
 
     path: Path
 
     @property
     def files(self) -> list[str]:
-        """Names of the files that are not the page's own."""
+        """Names of the files that are not reserved for the page."""
         return sorted(one.name for one in self.path.glob("*") if not one.name.startswith("_") and self.has(one.name))
 
     @property
     def robot(self) -> bool:
-        """True for a robot, whose model is among the files."""
+        """True if the files contain a robot model."""
         return any(name.lower().endswith(MODELS) for name in self.files)
 
     @property
     def file(self) -> str:
-        """The name of its joint file or robot file."""
+        """Name of its joint file or robot file."""
         return "robot.toml" if self.robot else "joint.toml"
 
     @property
@@ -60,16 +60,16 @@ class Draft:
 
     @property
     def texts(self) -> dict[str, str]:
-        """Texts of the forms by the keys of their fields."""
+        """Texts of the forms by field key."""
         return {key: text for key, text in self.json("_texts.json").items() if type(text) is str}
 
     def enter(self, texts: Mapping[str, str]) -> None:
-        """Keep what is entered in the forms."""
+        """Store the texts of the forms."""
         self.path.mkdir(parents=True, exist_ok=True)
         self.write_json("_texts.json", texts)
 
     def has(self, name: str) -> bool:
-        """Return whether it has a file of its own by this name."""
+        """Test for a regular file with this name."""
         path = self.path / name
         return path.is_file() and not path.is_symlink()
 
@@ -86,12 +86,12 @@ class Draft:
         return found if isinstance(found, dict) else {}
 
     def write_json(self, name: str, value: Mapping[str, Any]) -> None:
-        """Write one of the page's own files."""
+        """Write a reserved JSON file."""
         write_whole(self.path / name, json.dumps(value, allow_nan=False))
 
 
 class Jobs:
-    """The identification at work, of which there is one at a time."""
+    """The running identification; there is at most one."""
 
     def __init__(self) -> None:
         self._run: Draft | None = None
@@ -108,26 +108,26 @@ class Jobs:
             raise PageError("An identification is still running; wait for its end or cancel it in step 4.")
 
     def state(self, run: Draft) -> dict[str, Any]:
-        """Return the state of an identification, a sentence on its end, and the seconds that it has taken."""
+        """Return the state, final sentence and duration [s] of an identification."""
         if self.is_running(run):
             return {"state": "running", "sentence": "", "seconds": round(time.monotonic() - self._began)}
         stopped = "The page was stopped before this had ended; press Identify again."
         return {"state": "refused", "sentence": stopped} | run.json("_run.json")
 
     def start(self, run: Draft, *, learn: bool) -> None:
-        """Start an identification, whose controller may have to be learned first."""
+        """Start an identification, which may first learn the controller."""
         self._run, self._began = run, time.monotonic()
         self._task = asyncio.create_task(_identify(run, learn))
 
     async def cancel(self) -> None:
-        """Cancel what is running."""
+        """Cancel the running identification."""
         if self._task is not None and not self._task.done():
             self._task.cancel()
             await asyncio.wait([self._task])
 
 
 async def _identify(run: Draft, learn: bool) -> None:
-    """Identify by the commands that a person would give, one after the other; without a report an answer stays."""
+    """Identify by command-line commands; an answer is kept without its report."""
     commands = {
         "_first.txt": ("identify", run.file, "--no-checks", "--json", "answer.json"),
         "_answer.txt": ("identify", run.file, "--json", "answer.json"),
@@ -150,16 +150,16 @@ async def _identify(run: Draft, learn: bool) -> None:
 
 
 async def work(place: Path, seconds: int, out: str, *words: str) -> None:
-    """Run a command, or an action of the worker, in a folder to its end; what leaves this early ends it.
+    """Run a command or worker action in a folder.
 
     Raises:
-        PageError: it was refused, in its own sentences, ended otherwise, or, on Linux, took more processor time.
+        PageError: it was refused, with its own sentences, failed, or, on Linux, exceeded memory or processor time.
     """
     with (place / "_progress.txt").open("ab") as progress, (place / out).open("wb") as answer:
         begun = progress.tell()
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "jointid.apps.web.worker", str(MEMORY), str(seconds), *words),
-            stdin=PIPE,  # whose end tells the worker that the page has ended
+            stdin=PIPE,  # closed when the page ends, which ends the worker
             stdout=answer,
             stderr=progress,
             cwd=place,

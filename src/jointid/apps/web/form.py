@@ -1,7 +1,7 @@
-"""The forms of the page: texts of fields, made from the declarations of the joint file's keys, and its tables of them.
+"""Forms of the page, from the declared keys of the joint file.
 
-A key with one value is a field; its help, unit, choices and type are those of its declaration. All else stands in the
-further lines, as the joint file has it.
+A key with one value is a field with the help, unit, choices and type of its declaration. All other keys are entered as
+further lines, in the joint file's format.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from jointid.records.columns import known_units
 from jointid.records.record import CHANNELS, Spans
 
 EXTRA = "extra"
-"""The field of further lines of the joint file; of a robot file of all its lines."""
+"""Field of the joint file's further lines, or of the whole robot file."""
 LAW, LEARN = "controller.law", "learn"
-"""The field of the controller's law, and its choice that the controller is to be learned."""
+"""Field of the controller law, and its choice to learn the controller."""
 
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
 _RATIO, _SIDE = "transmission.ratio", "record.channels.reference.side"
-_LABELS = {_SIDE: "These positions are of the", "gravity.load": "Gravity"}  # whose keys are no labels
-_SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # at once
-_ALWAYS = ("torque", "reference", "motor_position")  # channels that are shown at once
+_LABELS = {_SIDE: "These positions are of the", "gravity.load": "Gravity"}  # labels that differ from the key
+_SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # not folded
+_ALWAYS = ("torque", "reference", "motor_position")  # channels that are not folded
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
-_OF_READING = ("sample_time", "optional", "time")  # of a channel, in the further lines
+_OF_READING = ("sample_time", "optional", "time")  # keys of a channel without a field
 _LONGEST, _MOST = 300, 100_000  # characters of a field, and of the further lines
 _NAME = 80  # characters of a file's name
 
 Tables = dict[str, Any]
 Texts = Mapping[str, str]
-"""What is entered, by the keys of the fields."""
+"""Entered texts by field key."""
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A key of the joint file as it is entered.
+    """The input field of one key of the joint file.
 
     Attributes:
-        key: its path, which is the field's name.
+        key: path of the key, and the field's name.
         declared: its type, unit and meaning.
-        choices: the texts to choose from, each with its label; empty where it is typed.
+        choices: selectable texts, each with its label; empty for free text.
         is_column: whether it is chosen from the columns of the record.
     """
 
@@ -62,7 +62,7 @@ class Field:
 
     @property
     def label(self) -> str:
-        """Its key in words."""
+        """Label of the field: its key in words."""
         return _LABELS.get(self.key) or self.key.rpartition(".")[2].replace("_", " ").capitalize()
 
     @property
@@ -71,7 +71,7 @@ class Field:
         return self.declared.type in (int, float) and not self.choices
 
     def read(self, text: str) -> str:
-        """Return its value as TOML; what is none is left to be refused."""
+        """Convert a text to a TOML value; invalid ones are refused later."""
         if (self.declared.type is bool and text in ("true", "false")) or self.declared.type == Spans:
             return text
         if self.declared.type in (int, float):
@@ -83,7 +83,7 @@ class Field:
         return json.dumps(text, ensure_ascii=False)
 
     def show(self, value: Any) -> str | None:
-        """Return a value of a joint file as the field shows it; None where it cannot."""
+        """Return the field's text for a value; None if not representable."""
         text = str(value).lower() if value is True or value is False else str(value)
         if self.choices:
             return text if text in self.choices else None
@@ -92,11 +92,11 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Fields that stand together under a title.
+    """A group of fields under a title.
 
     Attributes:
-        folded: whether it opens only where something of it is given.
-        channel: whether its first field is the column of a channel, beside which its plot stands.
+        folded: whether it is closed unless one of its fields is filled.
+        channel: whether its first field is the column of a channel, shown beside its plot.
     """
 
     title: str
@@ -106,7 +106,7 @@ class Section:
 
 
 def _make_field(key: FileKey) -> Field | None:
-    """Return the field of a key; None where its value is no number, word or text."""
+    """Return a key's field; None for a table or list."""
     one, last = key.declared, key.place.rpartition(".")[2]
     words = one.choices or one.only or (("true", "false") if one.type is bool else ())
     if key.place.startswith("record.channels.") and last == "unit":
@@ -141,11 +141,11 @@ _LINES = "as in a joint file: [parameters], then coulomb = 20.0"
 _EXTRA = (Field(EXTRA, Setting(_LINES, name=EXTRA, type=dict, optional=True, default=None)),)
 _FURTHER = Section("Further lines of the joint file: all that has no field", _EXTRA, folded=True)
 ROBOT = (Section("The robot file", _EXTRA),)
-"""The form of a robot, whose text is the whole file."""
+"""Form of a robot: one text, the whole file."""
 
 
 def channel_step(texts: Texts) -> Iterator[Section]:
-    """Yield the sections of step 2; of a channel without a column only the column counts, but for a known drive."""
+    """Yield the sections of step 2; channels without a column are abbreviated."""
     yield Section("The axis", _find(_KIND))
     yield Section("The clock", _find("record.time", "record.time_unit", "record.sample_time", "record.leave_out"))
     for name, fields in sorted(_CHANNELS.items(), key=lambda one: one[0] not in _ALWAYS):
@@ -175,14 +175,14 @@ def joint_step(texts: Texts) -> Iterator[Section]:
 
 
 def require_side(texts: Texts) -> None:
-    """Raise a `JointFileError` where a reference behind a gear is not said to be the motor's or the load's."""
+    """Refuse a reference behind a gear without its side, motor or load."""
     if texts.get(_RATIO) and texts.get("record.channels.reference.column") and not texts.get(_SIDE):
         asked = f"Behind a gear of {texts[_RATIO]}:1, are these positions the motor's or the load's? Choose one."
         raise JointFileError(Fault(asked, tuple(_SIDE.split(".")), "missing"))
 
 
 def require_unit(texts: Texts) -> None:
-    """Raise a `JointFileError` where a velocity gain beside a torque constant has no unit."""
+    """Refuse a velocity gain without a unit beside a torque constant."""
     gain = texts.get("controller.velocity_gain", "")
     if texts.get("joint.torque_constant") and re.fullmatch("[0-9.,]+", gain):
         asked = f'Give its unit: "{gain} A s/rad" of a current, "{gain} N m s/rad" of a torque.'
@@ -190,27 +190,27 @@ def require_unit(texts: Texts) -> None:
 
 
 def fields_of(texts: Texts) -> dict[str, Field]:
-    """Return the fields that count for some texts, by their keys."""
+    """Return the fields that depend on entered texts, by key."""
     sections = (*channel_step(texts), *joint_step(texts))
     return {one.key: one for one in (*TEXT, *chain.from_iterable(one.fields for one in sections)) if one.key != EXTRA}
 
 
 def take(entries: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Return entries of a form as texts, bounded and printable."""
+    """Clean the texts of a form: bounded and printable."""
     found = ((name, text.replace("\r\n", "\n").strip()) for name, text in entries)
     printable = ((name, "".join(c for c in text if c.isprintable() or c in "\n\t")) for name, text in found)
     return {name: text[: _MOST if name == EXTRA else _LONGEST] for name, text in printable}
 
 
 def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
-    """Return the tables of the joint file or robot file that the forms make; a field goes before the further lines.
+    """Convert texts to a file's tables; fields override the further lines.
 
     Args:
-        texts: of the forms; those that do not count for the others are left out.
-        records: names of the records that are there; none of a robot, whose file names them.
+        texts: of the forms; those of hidden fields are ignored.
+        records: names of the records; empty for a robot, whose file names them.
 
     Raises:
-        JointFileError: the further lines are no TOML, or have a value in the place of a table.
+        JointFileError: the further lines are not TOML, or contain a value in place of a table.
     """
     try:
         tables = parse_toml(texts.get(EXTRA, ""))
@@ -227,7 +227,7 @@ def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
 
 
 def _confine(value: Any, key: str = "") -> Any:
-    """Return tables with names of files in the place of paths, wherever they are."""
+    """Replace paths of files by bare names in nested tables."""
     if isinstance(value, dict):
         return {name: _confine(one, name) for name, one in value.items()}
     if isinstance(value, list):
@@ -236,23 +236,23 @@ def _confine(value: Any, key: str = "") -> Any:
 
 
 def show_tables(tables: Tables) -> dict[str, str]:
-    """Return the texts of the forms of a joint file, with the keys without a field as further lines."""
+    """Convert a joint file to texts of fields and further lines."""
     texts, given = dict[str, str](), flatten_keys(tables)
-    for _ in range(2):  # what is chosen decides which other fields count
+    for _ in range(2):  # choices determine the other fields
         shown = {key: one.show(given.get(key)) for key, one in fields_of(texts).items()}
         texts |= {key: text for key, text in shown.items() if text is not None}
     return texts | {EXTRA: tomlkit.dumps(_leave_out(tables, {*texts, "record.file"}))}
 
 
 def _leave_out(tables: Tables, keys: Collection[str], place: str = "") -> Tables:
-    """Return tables without some keys, and without tables that are empty then."""
+    """Remove keys from nested tables, and tables that become empty."""
     kept = {name: one for name, one in tables.items() if f"{place}{name}" not in keys}
     below = {name: _leave_out(one, keys, f"{place}{name}.") for name, one in kept.items() if isinstance(one, dict)}
     return {name: one for name, one in (kept | below).items() if one != {}}
 
 
 def place_faults(error: Exception | None, shown: Collection[str]) -> dict[str, list[str]]:
-    """Return sentences by the field that they are about, or by the further lines; those of no key by ""."""
+    """Group fault sentences by field, or by the further lines, or ""."""
     placed = dict[str, list[str]]()
     for fault in getattr(error, "faults", str(error or "").splitlines()):
         place = getattr(fault, "place", ())
@@ -263,6 +263,6 @@ def place_faults(error: Exception | None, shown: Collection[str]) -> dict[str, l
 
 
 def clean_name(raw: str) -> str:
-    """Return the last part of a path without any character that has a meaning, and unlike names of the page's own."""
+    """Return a safe file name, the last part of a path."""
     name = re.sub(r"[^\w .()+-]", "_", re.split(r"[/\\]", raw)[-1])[-_NAME:].strip(" ._") or "record"
     return f"record-{name}" if name.lower() in ("answer.json", "report.html") else name

@@ -1,7 +1,7 @@
-"""The page as an application: its addresses, what guards them, and how it starts and stops.
+"""The page as an ASGI application: routes, access control, start and stop.
 
-The addresses are of the record, its channels, the axis and its controller, the progress and the answer. Forms and files
-come in bounded; pages go out as HTML from templates of our own, every text that came in escaped.
+Routes are those of the record, channels, axis and controller, progress and answer. Forms and files are limited in size.
+Pages are HTML from templates of this package, with all received text escaped.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ from jointid.config.toml import parse_toml, read_text
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import FORMATS
 
-_FORM = 2**19  # bytes of a form beside its files
-_FILES = 50  # of one upload
+_FORM = 2**19  # most bytes of a form without its files
+_FILES = 50  # most files of one upload
 _DOWNLOADS = ("joint.toml", "robot.toml", "answer.json", "report.html")
 _REPORT = {
     "content-security-policy": "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
     "frame-ancestors 'self'"
 }
-"""A report runs no script: its sandbox reaches neither the page nor the network."""
+"""Headers of a report: it runs no script, and reaches neither the page nor the network."""
 _SUFFIXES = (*(suffix for entry in FORMATS for suffix in entry.suffixes), ".toml", *MODELS)
-_GRACE = 2  # seconds that an open connection is given when the page ends
+_GRACE = 2  # seconds to close open connections when the page ends
 _CONNECTIONS = 200  # more are refused
 _HEADERS = {
     "content-security-policy": (
@@ -68,13 +68,13 @@ _HEADERS = {
 
 
 class Page:
-    """One page and the folder in which it keeps everything: `now`, and each identification in `runs/N`.
+    """A page and its folder: the draft `now`, and identifications `runs/N`.
 
     Attributes:
         path: of the folder.
-        root: begins every address of the page; it holds the token.
-        jobs: the identification at work.
-        files: held by a request while it replaces or reads the record, so that one from another tab waits.
+        root: first part of every address, with the token.
+        jobs: the running identification.
+        files: lock of requests that replace or read the record.
     """
 
     def __init__(self, path: Path, token: str) -> None:
@@ -85,7 +85,7 @@ class Page:
 
     @property
     def now(self) -> Draft:
-        """The records and what the forms say."""
+        """The present draft."""
         return Draft(self.path / "now")
 
     @property
@@ -96,7 +96,7 @@ class Page:
 
     @contextlib.asynccontextmanager
     async def receiving(self) -> AsyncIterator[Draft]:
-        """Yield a folder for uploads, which replace the files before if accepted."""
+        """Yield a folder for uploads, which replaces the draft on success."""
         with TemporaryDirectory(prefix="upload-", dir=self.path, ignore_cleanup_errors=True) as place:
             fresh = Path(place, "now")
             fresh.mkdir()
@@ -107,7 +107,7 @@ class Page:
                 fresh.rename(self.now.path)
 
     def new_run(self, text: str) -> Draft:
-        """Make the folder of an identification with its files, the joint file or robot file of this text among them."""
+        """Create the folder of an identification, with its files and `text`."""
         last = next((int(run.path.name) for run in self.runs), 0)
         run = Draft(self.path / "runs" / f"{last + 1}")
         run.path.mkdir(parents=True)
@@ -117,7 +117,7 @@ class Page:
         return run
 
     def show(self, step: str, refusal: Exception | None = None) -> Response:
-        """Show the form of a step, with its faults beside the fields; step 1 where there is no record."""
+        """Render a step's form with faults; step 1 without a record."""
         now, columns = self.now, self.now.json("_columns.json")
         number = {"channels": 2, "joint": 3}.get(step, 1) if columns and now.records else 1
         forms = {2: form.channel_step, 3: form.joint_step}
@@ -132,7 +132,7 @@ class Page:
         )  # fmt: skip
 
     def render(self, template: str, code: int = 200, **values: Any) -> Response:
-        """Return a page."""
+        """Render a page from a template."""
         now, runs = self.now, self.runs
         common = {
             "root": self.root, "version": __version__, "folder": self.path.name, "sent": now.records,
@@ -143,7 +143,7 @@ class Page:
         return HTMLResponse(made.get_template(f"{template}.html").render(common | values), code)
 
     def redirect(self, path: str) -> Response:
-        """Lead the browser to another address of the page, such as "/channels"."""
+        """Redirect the browser to another address of the page, such as "/channels"."""
         return RedirectResponse(f"{self.root}{path}", 303)
 
 
@@ -152,14 +152,14 @@ def _page(request: Request) -> Page:
 
 
 async def show_step(request: Request) -> Response:
-    """Show the step that the address names; keep the entries of its form first, at each change of it."""
+    """Show a step; after a change of its form, save it first."""
     if request.method == "POST":
         await _save(request)
     return _page(request).show(request.url.path.rpartition("/")[2])
 
 
 async def refuse(request: Request, error: Exception) -> Response:
-    """Show the form of a step that is refused, with the reasons beside its fields."""
+    """Show a refused step, with the reasons beside its fields."""
     if isinstance(error, OSError) and error.errno != errno.ENOSPC:
         raise error
     if isinstance(error, RecursionError):
@@ -168,14 +168,14 @@ async def refuse(request: Request, error: Exception) -> Response:
 
 
 async def _save(request: Request) -> Draft:
-    """Keep the entries of a form."""
+    """Store the entries of a form."""
     entries, now = await _receive(request, _FORM, None), _page(request).now
     now.enter(now.texts | entries)
     return now
 
 
 async def take_record(request: Request) -> Response:
-    """Take records in place of those before, with the joint file, or the robot file and its model, that came along."""
+    """Replace the records by uploaded files, with a joint or robot file."""
     page = _page(request)
     async with page.receiving() as fresh:
         entries = await _receive(request, folder.UPLOAD, fresh.path)
@@ -203,7 +203,7 @@ async def take_record(request: Request) -> Response:
 
 
 async def make_example(request: Request) -> Response:
-    """Simulate the example, with every field filled in."""
+    """Simulate the example, with all fields filled in."""
     page = _page(request)
     async with page.receiving() as fresh:
         for action in ("example", "preview"):
@@ -212,7 +212,7 @@ async def make_example(request: Request) -> Response:
 
 
 async def check_channels(request: Request) -> Response:
-    """Check step 2 by reading the record as it says, whatever is known of the controller and the method."""
+    """Check step 2 by reading the record, without controller and method."""
     page, now = _page(request), await _save(request)
     form.require_side(now.texts)
     async with page.files:
@@ -223,7 +223,7 @@ async def check_channels(request: Request) -> Response:
 
 
 async def identify(request: Request) -> Response:
-    """Check everything, and start the identification, in a folder of its own that holds all it takes."""
+    """Check everything, and start the identification in a new folder."""
     page, now = _page(request), await _save(request)
     form.require_unit(now.texts)
     learn = now.texts.get(form.LAW) == form.LEARN
@@ -236,7 +236,7 @@ async def identify(request: Request) -> Response:
 
 
 async def _load(now: Draft, texts: form.Texts, but: tuple[str, ...] = ()) -> str:
-    """Return the forms as TOML, checked as a joint file; the model of a robot is read in another process."""
+    """Return the forms as TOML; check them, except a robot's model."""
     made = form.make_tables(texts, [] if now.robot else now.records)
     text, place = dumps({name: one for name, one in made.items() if name not in but}), now.path / "_order.toml"
     write_whole(place, text)
@@ -254,7 +254,7 @@ async def draw_column(request: Request) -> Response:
 
 
 async def show_run(request: Request) -> Response:
-    """Show the progress, then the answer with its report; end the identification where that is asked for."""
+    """Show progress or answer of an identification; cancel it on request."""
     page, run = _find_run(request)
     if request.method == "POST":
         if page.jobs.is_running(run):
@@ -266,7 +266,7 @@ async def show_run(request: Request) -> Response:
 
 
 async def send_file(request: Request) -> Response:
-    """Send one of the files of an answer."""
+    """Send a file of an answer."""
     _, run = _find_run(request)
     name = request.path_params["name"]
     if name not in _DOWNLOADS or not run.has(name):
@@ -284,11 +284,11 @@ def _find_run(request: Request) -> tuple[Page, Draft]:
 
 
 async def _receive(request: Request, bound: int, place: Path | None) -> dict[str, str]:
-    """Return the entries of a form; its files are written to a folder.
+    """Return the entries of a form; write its files to a folder.
 
     Raises:
-        PageError: the form is larger than the bound or does not say how large it is, is damaged, or has too many files,
-            one of another suffix or two of one name.
+        PageError: the form is larger than the bound, has no stated size or is damaged, or it has too many files, an
+            unknown suffix or two files of one name.
     """
     size = request.headers.get("content-length", "")
     if not re.fullmatch("[0-9]{1,18}", size) or int(size) > bound + _FORM:
@@ -329,9 +329,9 @@ ROUTES = [
 
 
 def _guard(app: ASGIApp, token: str) -> ASGIApp:
-    """Return an application that refuses requests without the token.
+    """Wrap an application to refuse requests without the token.
 
-    A page elsewhere can have a browser send requests here. It does not know the token.
+    Foreign web pages can make a browser send requests here, but do not know the token.
     """
 
     async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
@@ -351,24 +351,24 @@ def _guard(app: ASGIApp, token: str) -> ASGIApp:
                     own.setdefault(name, value)
             await send(message)
 
-        with contextlib.suppress(ClientDisconnect):  # whoever asked has gone
+        with contextlib.suppress(ClientDisconnect):
             await (PlainTextResponse(said, 403) if refused else app)(scope, receive, send_guarded)
 
     return guarded
 
 
 def build_application(folder: Path, token: str) -> Starlette:
-    """Return the page as an ASGI application; the token is the first part of every address that it answers."""
+    """Return the page as an ASGI application; addresses begin with the token."""
     page = Page(folder, token)
 
     @contextlib.asynccontextmanager
     async def live(_: Starlette) -> AsyncIterator[None]:
-        for path in folder.glob("upload-*"):  # what was on its way in when the page was killed
+        for path in folder.glob("upload-*"):  # uploads that a kill interrupted
             shutil.rmtree(path, ignore_errors=True)
         yield
         await page.jobs.cancel()
 
-    # Another name may have been rebound to this machine's address.
+    # Refuse other host names, which may have been rebound to this machine's address.
     here = Middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
     application = Starlette(
         routes=[Mount(page.root, routes=ROUTES)],
@@ -381,7 +381,7 @@ def build_application(folder: Path, token: str) -> Starlette:
 
 
 def run(application: Starlette, listening: socket.socket) -> None:
-    """Serve the page on a socket that listens, until it is interrupted; nobody else may read what it writes."""
+    """Serve the page on a listening socket until interrupted; files are private."""
     config = uvicorn.Config(
         application, http="h11", ws="none", limit_concurrency=_CONNECTIONS, log_level="warning",
         timeout_graceful_shutdown=_GRACE, server_header=False,

@@ -1,8 +1,8 @@
-"""A process that works for the page: `python -m jointid.apps.web.worker MEMORY SECONDS WORDS`.
+"""A worker process of the page: `python -m jointid.apps.web.worker MEMORY SECONDS WORDS`.
 
-The words are those of a command of jointid, or one of the actions below, in the current folder. A file may be damaged
-and a fit may take hours: whatever becomes of the process, the page stays up, and its memory and time are bounded. It
-ends when the page does, whose end it hears on its standard input.
+The words are a command of jointid or one of the actions below, run in the current folder. A file may be damaged and a
+fit may take hours: the page survives any end of the process, whose memory and time are bounded. It ends when its
+standard input is closed, at the end of the page.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from jointid.config.toml import parse_toml
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_DRAWN, _LISTED = 64, 2000  # columns that are drawn, and whose names are listed
-_STRETCHES, _LARGEST = 640, 1e300  # of a column that are drawn, and a number that is drawn
+_DRAWN, _LISTED = 64, 2000  # most columns that are drawn, and that are listed
+_STRETCHES, _LARGEST = 640, 1e300  # intervals of a drawn column, and its largest number
 _NAMES = {
     "torque": "torque|moment|force|kraft|current|strom",
     "reference": "(pos|lage|angle|winkel|^[xq]_).*(soll|set|ref|com|cmd)",
     "motor_position": "(pos|lage|angle|winkel).*(ist|act|meas|mot)",
 }
-"""Words in the columns' names of a log whose drive is not known; one that alone has them is proposed."""
+"""Patterns of column names for a log of an unknown drive; a single match is proposed."""
 
 
 def preview() -> None:
-    """Write the names of the first record's columns, their plots, and what the names say of the drive."""
+    """Write the names and plots of the first record's columns, and proposals."""
     from jointid import inspect
 
     draft = Draft(Path.cwd())
@@ -66,7 +66,7 @@ def preview() -> None:
 
 
 def example() -> None:
-    """Simulate the digital twin, and write its record and forms."""
+    """Simulate the digital twin; write its record and forms."""
     from jointid import twin, write
     from jointid.paper.twin import JOINT_FILE
 
@@ -76,7 +76,7 @@ def example() -> None:
 
 
 def check() -> None:
-    """Read the records as the forms say, and write what the first one holds."""
+    """Read the records as declared; write a summary of the first one."""
     from jointid.config import load
 
     draft, file = Draft(Path.cwd()), load("_order.toml")
@@ -91,9 +91,9 @@ def check() -> None:
 
 @styled
 def draw_column(values: FloatArray) -> Figure:
-    """Draw a column: a line through the lows and highs of its stretches."""
+    """Draw a column by the minima and maxima of intervals."""
     figure, (axes,) = panels([150], width=6.4)
-    drawn = np.where(np.abs(values) < _LARGEST, values, np.nan)  # neither is what is no number
+    drawn = np.where(np.abs(values) < _LARGEST, values, np.nan)
     starts = np.arange(count := min(_STRETCHES, drawn.size)) * drawn.size // count
     low, high = np.fmin.reduceat(drawn, starts), np.fmax.reduceat(drawn, starts)
     across = np.linspace(0.0, values.size, low.size)
@@ -103,8 +103,8 @@ def draw_column(values: FloatArray) -> Figure:
 
 
 def _end_with_the_page() -> None:
-    """Wait for the end of standard input, which comes when the page ends, however it does."""
-    while os.read(0, 1):  # past the buffer, whose lock a thread must not hold when Python ends
+    """Exit when the standard input is closed, at the page's end."""
+    while os.read(0, 1):  # unbuffered, since a thread must not hold the buffer's lock when Python ends
         pass
     os._exit(1)
 

@@ -1,4 +1,4 @@
-"""File formats; a new one needs a reader and a row of `FORMATS`."""
+"""File formats; a new one needs functions and a row of `FORMATS`."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ _UNSET = np.datetime64("1904-01-02")  # LabVIEW's epoch, the value of unset inst
 
 
 def read_npy(path: Path, rows: int | None) -> Iterator[Table]:
-    """Read a record array, or a matrix with samples along its longer side."""
+    """Read a record array, or a matrix with samples along the longer side."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # warnings of Python's parser about a damaged header
         array: np.ndarray[Any, Any] = np.lib.format.open_memmap(path, mode="r", max_header_size=_HEADER)

@@ -1,4 +1,4 @@
-"""Logs of several files: ROS 2 bags, folders of texts, and LeRobot data sets.
+"""Logs of several files: ROS 2 bags, folders, LeRobot data sets.
 
 A bag is a folder or a file (MCAP or SQLite), with one clock per topic. The library rosbags reads the files and parses
 the message definitions. It would compile these to Python code and run it, so messages (CDR version 1 of the Object
@@ -311,7 +311,7 @@ def message_types(name: str, text: str) -> Types:
 
 
 def is_record(path: Path) -> bool:
-    """Test whether a folder holds a record of several files, not a bag."""
+    """Test whether a folder holds a record that is no bag."""
     try:
         suffixes = {file.suffix.lower() for file in path.iterdir()} if path.is_dir() else set()
         return (path / _INFO).is_file() or (".csv" in suffixes and suffixes.isdisjoint((*SUFFIXES, ".zstd")))

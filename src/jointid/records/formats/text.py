@@ -288,7 +288,7 @@ def _is_remark(line: str) -> bool:
 
 
 def _find_layout(path: Path, beginning: Sequence[str], options: TextOptions) -> tuple[Layout, int]:
-    """Return the layout of a file, and the index of its first row."""
+    """Return a file's layout and the index of its first row."""
     lines = [*filterfalse(_is_remark, beginning)]
     dialect = _choose_dialect(path.name, lines, options)
     first = next(place for place, line in enumerate(lines) if dialect.is_row(line))
