@@ -216,6 +216,9 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
     """Starts with the motor at given or torque-derived positions, likelier first.
 
     Too small an initial friction lets a resting motor slip, and its position is lost.
+
+    Raises:
+        MethodError: the loop cannot be simulated there, or runs away.
     """
     # A regression keeps no bounds; an inertia of the wrong sign is that of a torque of the wrong sign.
     x, inertias = problem.vector(start), [p.quantity is Quantity.INERTIA for p in problem.free]

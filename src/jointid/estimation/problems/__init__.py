@@ -1,1 +1,1 @@
-"""Identification problems: a record and a model in, filtered residual and Jacobian out."""
+"""Identification problems: filtered residual and Jacobian of a record and model."""

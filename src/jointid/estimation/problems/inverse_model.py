@@ -1,4 +1,4 @@
-"""The inverse dynamic model of a measured motion: torques on one side, the columns of the parameters on the other.
+"""Inverse dynamic model of a measured motion: torques and parameter columns.
 
 Butterworth low-pass forwards and backwards on the positions, derivatives, borders dropped, the same
 low-pass-and-decimate on torque and every column [P section III; EMPS report]. A rigid joint needs the motor's
@@ -8,9 +8,8 @@ Of a long record the columns are made part by part, so that memory holds those o
 Torque and columns are seen through one window (`filtering.window_torque`), so that a held, averaged or delayed torque
 is compared with the motion it made. The published pipeline reads it as sampled and differentiates twice centrally.
 
-Where a mass rests or turns round, its friction takes what it must, and its row is left out: of a twin with little noise
-the rows of reversals pulled the Coulomb frictions so far that of their 2-sigma intervals 17 % held the truth, and
-without these rows all do.
+Where a mass rests or reverses, its friction is undetermined, and its row is left out. On a twin with little noise
+17 % of the 2-sigma intervals of the Coulomb frictions held the truth with the rows of reversals, and all do without.
 """
 
 from __future__ import annotations
@@ -80,21 +79,21 @@ _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter l
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredMotion:
-    """A motion, filtered, and the torques it takes: of a joint's motor and load, or of a robot's joints.
+    """Filtered motion of masses or joints, and the motors' torques.
 
     Attributes:
         q, v, a: (samples, n) positions and their derivatives.
         torque: (samples, n) of the motors, behind their gears, through the window of their timing; of a robot without
             that of the record's payload, on the load of a joint 0.
-        moving: (samples, n) 0 where a mass rests or turns round, or what is left out of the record, else 1.
+        moving: (samples, n) 0 where a mass rests or reverses, or where the record is left out, else 1.
         sample_time: s.
         filtering: resolved.
         limit: Hz, the highest cut-off that the noise of the positions allows.
         raw: (samples, n) positions as measured.
-        if_sampled: (samples, n) what torques of unstated timing, read as held, are more if read as sampled; else 0.
-        counts: (samples, n) 0 at what is left out of the record, else 1.
+        if_sampled: (samples, n) change of torques of unstated timing if read as sampled, not held; else 0.
+        counts: (samples, n) 0 where the record is left out, else 1.
         apart: whether rows at which no mass moves are left out, as of a joint; else they are 0.
-        told: of a row's weight; what holds less is of rest.
+        told: least weight of a row that is not at rest.
     """
 
     q: FloatArray
@@ -112,13 +111,13 @@ class MeasuredMotion:
     told: float = TOLD
 
     def decimate(self, signals: FloatArray) -> FloatArray:
-        """Return signals, (samples, n, columns), decimated: (n instants, columns), one after the other, 0 at rest."""
+        """Decimate signals, (samples, n, columns), to (n instants, columns), 0 at rest."""
         return np.concatenate([self.decimate_joint(j, signals[:, j]) for j in range(signals.shape[1])])
 
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
-        """Return columns, (samples, n, columns), seen through the window of the torques and decimated.
+        """Columns, (samples, n, columns), through the torques' window and decimation.
 
-        Of a robot about half are 0 in each equation, and stay so.
+        In a robot about half of them are 0 in each equation, and stay so.
         """
         rows = []
         for j in range(columns.shape[1]):
@@ -133,11 +132,11 @@ class MeasuredMotion:
         return replace(self, **{name: getattr(self, name)[first:end] for name in named})
 
     def read_as(self, timing: Timing | None) -> MeasuredMotion:
-        """Return the motion with torques of unstated timing read so; held if it is None."""
+        """The motion with torques of unstated timing read as `timing`, or held."""
         return replace(self, torque=self.torque + self.if_sampled) if timing is Timing.SAMPLED else self
 
     def split(self) -> list[MeasuredMotion]:
-        """Return the parts of a motion whose columns take too much memory at once; itself of a shorter one."""
+        """Split a long motion into parts whose columns fit in memory."""
         size, n = self.q.shape
         count = math.ceil(size * n * n / LARGEST)
         ends = np.linspace(0, size, count + 1).astype(int)
@@ -145,14 +144,14 @@ class MeasuredMotion:
 
     @property
     def whole_rows(self) -> NDArray[np.bool_]:
-        """Rows without any sample that is left out, (n, rows); only these are judged.
+        """Rows without any excluded sample, (n, rows); only these are judged.
 
-        A row beside one that is left out has some of that in it, and less noise.
+        A row beside an excluded one contains some of it, and less noise.
         """
         return self.decimate_columns(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > _WHOLE
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Return columns of one equation, (samples, columns), decimated, (rows, columns), 0 or left out at rest."""
+        """Decimate one equation's columns, (samples, columns); rest is 0 or excluded."""
         inside = self.filtering.inside(len(self.q))
         moving = self.moving[inside, joint, np.newaxis]
         among = self.moving[inside] if self.apart else moving
@@ -198,14 +197,14 @@ class Inverse:
         return turn(self.system, motion) if isinstance(self.system, Robot) else motion
 
     def measure_logs(self, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
-        """Return the motion of each log, all filtered with the lowest cut-off of one of them."""
+        """Measure each log's motion, all filtered with the lowest cut-off."""
         motions = [self.measure(log, filtering) for log in logs]
         common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
         pairs = zip(motions, logs, strict=True)
         return [motion if motion.filtering == common else self.measure(log, common) for motion, log in pairs]
 
     def rows(self, motions: Sequence[MeasuredMotion], columns: Iterable[FloatArray] | None = None) -> Rows:
-        """Return the regression along the motions of one log or several; of other columns where these are given."""
+        """Regression along the motions of logs, by default of their own columns."""
         pairs, n = zip(motions, columns or map(self.columns, motions), strict=True), motions[0].q.shape[1]
         W = join_rows([motion.decimate_columns(each) for motion, each in pairs], n)
         torques = [motion.decimate(np.stack([motion.torque, motion.if_sampled], axis=2)) for motion in motions]
@@ -214,13 +213,13 @@ class Inverse:
 
 
 def turn(robot: Robot, motion: MeasuredMotion) -> MeasuredMotion:
-    """Return the motion of a robot's joints from that of its motors."""
+    """Convert the motion of a robot's motors to its joints."""
     joints = np.linalg.inv(robot.coupling).T
     return replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
 
 
 def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
-    """Return the rows of several logs, (rows, ...) each, as of one: those of one equation after those of the other."""
+    """Join logs' rows, (rows, ...), equation by equation."""
     whole = np.concatenate([rows.reshape(equations, -1, *rows.shape[1:]) for rows in each], axis=1)
     return whole.reshape(-1, *whole.shape[2:])
 
@@ -228,7 +227,7 @@ def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
 def filter_motion(
     positions: FloatArray, sample_time: float, filtering: Filtering
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return positions, velocities and accelerations of raw positions, (samples, n) each; the filtering resolved."""
+    """Positions, velocities and accelerations of raw positions, (samples, n) each."""
     assert filtering.position_cutoff is not None
     smooth = lowpass(positions, filtering.position_cutoff, sample_time)
     if filtering.timing == "respected":
@@ -240,7 +239,7 @@ def filter_motion(
 
 
 def through_window(columns: FloatArray, filtering: Filtering) -> FloatArray:
-    """Return columns, (samples, ...), as a torque whose timing is respected sees them."""
+    """Columns, (samples, ...), through the window of a torque with respected timing."""
     return apply_window(columns) if filtering.timing == "respected" else columns
 
 
@@ -252,15 +251,15 @@ def motion_along(
     model: str = "rigid",
     counts: FloatArray | float = 1.0,
 ) -> MeasuredMotion:
-    """Return the motion along raw positions, (samples, n).
+    """Motion along raw positions, (samples, n), with the torques.
 
     Args:
         torques: on the first of n masses or joints, at the positions' rate.
         positions: of the motor, and for a flexible joint of the load; or of the motors of a robot.
         filtering: of positions and rows.
-        delays: seconds from each logged torque to the torque that acts, or one for all.
-        model: "rigid" or "flexible", whose cut-offs are taken where there are none.
-        counts: (samples, n) or (samples, 1), 0 at what is left out.
+        delays: seconds from each logged torque to the acting torque, or one for all.
+        model: "rigid" or "flexible", for the default cut-offs.
+        counts: (samples, n) or (samples, 1), 0 at excluded samples.
     """
     from scipy.ndimage import minimum_filter1d
 
@@ -283,7 +282,7 @@ def motion_along(
 def torque_and_positions(
     record: Record, joint: Joint, names: Sequence[str], method: str
 ) -> tuple[Channel, tuple[FloatArray, ...]]:
-    """Return the torque on the motor, and its positions of these names of as many samples, (samples,) each.
+    """Torque on the motor and the named positions, (samples,) each.
 
     The log lacks a signal that was injected after the controller's limit; it is added.
 
@@ -316,7 +315,7 @@ def torque_and_positions(
 
 
 def inverse_of_joint(joint: Joint, delay: float = 0.0, parameters: tuple[Parameter, ...] = ()) -> Inverse:
-    """Return the inverse model of a joint; of a flexible one with `ENCODER_OFFSET`, the last parameter.
+    """Inverse model of a joint; a flexible one has `ENCODER_OFFSET` last.
 
     Args:
         joint: the model.
@@ -338,9 +337,9 @@ def inverse_of_joint(joint: Joint, delay: float = 0.0, parameters: tuple[Paramet
 
 
 def _late(record: Record, delay: float, period: float) -> float:
-    """Return how long after its stamp a logged torque begins to act, in seconds.
+    """Time from a logged torque's stamp to its effect, s.
 
-    A measured torque is the one that acts; behind a delay of a broken number of periods it began within the period
+    A measured torque is the acting one. With a delay of a fractional number of periods it began within the period
     before the sample that shows it, and an average over that period is stamped at its end.
     """
     if record.tap is not Tap.MEASURED:
@@ -357,7 +356,7 @@ Records: TypeAlias = Sequence[Record] | Sequence[Sequence[Record]]
 
 
 def each_log(records: Records) -> tuple[Sequence[Record], ...]:
-    """Return the records of each log.
+    """Records of each log.
 
     Raises:
         RecordError: there are none, or records beside lists of them.
@@ -372,7 +371,7 @@ def each_log(records: Records) -> tuple[Sequence[Record], ...]:
 
 
 def require_one_log(records: Sequence[object]) -> None:
-    """Raise a `MethodError` if there are records of several logs, or something else."""
+    """Raise a `MethodError` unless all are records of one log."""
     if not all(isinstance(record, Record) for record in records):
         raise MethodError(
             "The records of the joints of one log are needed here, and these are no records, or of several logs: give "
@@ -381,7 +380,7 @@ def require_one_log(records: Sequence[object]) -> None:
 
 
 def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
-    """Raise a `MethodError` if the torque, (samples,), of a joint is 0 throughout."""
+    """Raise a `MethodError` if a joint's torque, (samples,), is always 0."""
     dead = [joint.name for joint, torque in zip(robot.joints, torques, strict=True) if not np.any(torque)]
     if dead:
         raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
@@ -409,7 +408,7 @@ def measure_motion(
     model: str = "rigid",
     smear: float = SMEAR,
 ) -> MeasuredMotion:
-    """Return the motion of a joint's motor and load, or of a robot's joints, and their motors' torques.
+    """Measure the motion of a joint or robot, and its motors' torques.
 
     Args:
         system: the joint, or the robot, whose coupling takes the motors' positions to the joints'.
@@ -417,7 +416,7 @@ def measure_motion(
         filtering: of positions and rows.
         said: the method, in the words of an error.
         delay: seconds from the controller's output to the torque that acts.
-        model: of a robot's joints, whose cut-offs are taken where there are none: "rigid" or "flexible".
+        model: of a robot's joints, for the default cut-offs: "rigid" or "flexible".
         smear: periods of the position filter on each side of a rest or a reversal that are left out with it.
 
     Raises:
@@ -475,7 +474,7 @@ def measure_motion(
 def moving_weights(
     velocity: FloatArray, long: int = _LONG, reach: int = _REACH, *, turning: bool = False
 ) -> FloatArray:
-    """Return 0 for the samples at which a mass rests, and 1 for the others.
+    """Weights of samples: 0 while a mass rests, else 1.
 
     Args:
         velocity: (samples,).
@@ -499,11 +498,11 @@ def moving_weights(
 def steady_weights(
     velocity: FloatArray, cutoff: float, sample_time: float, smear: float = SMEAR, few: float = _FEW
 ) -> tuple[FloatArray, FloatArray]:
-    """Return 0 for the samples at which a mass rests, else 1; and the same with those about reversals.
+    """Weights 0 at rest, else 1; and with reversals excluded.
 
     At a reversal the acceleration jumps by the Coulomb friction. The position filter smears the jump, which looks like
-    inertia: at 30 Hz it was 14 % of an inertia, and as much as half a sample of timing. And the sign of a filtered
-    velocity changes some samples before or after the mass turned, where rows are off by up to twice that friction.
+    inertia: at 30 Hz it was 14 % of an inertia, and as much as half a sample of timing. The sign of a filtered velocity
+    also changes some samples before or after the reversal, where rows are off by up to twice that friction.
 
     Args:
         velocity: (samples,) of positions filtered with this cut-off.

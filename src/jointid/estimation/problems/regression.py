@@ -54,9 +54,9 @@ class Rows:
         Y: (rows,) the torque, filtered and decimated; the rows of one equation after those of the other.
         W: (rows, parameters) the columns.
         names: of the parameters.
-        equations: how many share their instants.
-        driven: how many of them, the first, have the torque of a motor; the others are homogeneous.
-        early: (rows,) what the torque is more if it is read as sampled; None where all timings are stated.
+        equations: number of equations with common instants.
+        driven: number of the first ones, which have the torque of a motor; the others are homogeneous.
+        early: (rows,) change of the torque if it is read as sampled; None if all timings are stated.
     """
 
     Y: FloatArray
@@ -67,7 +67,7 @@ class Rows:
     early: FloatArray | None = None
 
     def relative_errors(self, values: FloatArray) -> FloatArray:
-        """Return the residual share of each motor's torque, (driven,), that of a joint with its load's."""
+        """Residual share of each motor's torque, (driven,), including a joint's load."""
         left, whole = (one.reshape(self.driven, -1) for one in (self.Y - self.W @ values, self.Y))
         return np.asarray(np.linalg.norm(left, axis=1) / np.linalg.norm(whole, axis=1))
 
@@ -77,14 +77,14 @@ class Solution:
     """The result of an estimator.
 
     Attributes:
-        rows: of all parameters. free: indices of those that neither a value nor a bound holds.
+        rows: of all parameters. free: indices of those without a fixed value or active bound.
         values: (parameters,) of all.
         scale: (rows,) sizes of errors by which the rows were divided.
         instruments: (rows, free) of the last turn; None of least squares.
         turns: solutions that were made. converged: whether the last ones settled.
         held: values of the parameters that a bound holds, by name.
         further: (parameters,) deviations beside those of the rows.
-        timing: how torques of unstated timing were read; None where all are stated. said: of that, in a sentence.
+        timing: reading of torques of unstated timing; None if all are stated. said: on that, in a sentence.
     """
 
     rows: Rows
@@ -100,7 +100,7 @@ class Solution:
     said: tuple[str, ...] = ()
 
     def fix(self, parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-        """Return the parameters, those that a value or a bound holds fixed there."""
+        """Fix the parameters that a value or a bound holds."""
         pairs = enumerate(zip(parameters, map(float, self.values), strict=True))
         return tuple(p if i in self.free else p.fix(value) for i, (p, value) in pairs)
 
@@ -111,10 +111,10 @@ class Solution:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Robust to autocorrelation, and to what the weights are; of fixed parameters 0.
+        """Covariance robust to autocorrelation and for these weights; 0 when fixed.
 
-        Of least squares along a measured motion it is widened for that. The equation of a load contains no torque and
-        little noise, so its residual is mostly model error, which repeats: deviations are widened by those over
+        For least squares along a measured motion it is widened for the bias. The equation of a load contains no torque
+        and little noise, so its residual is mostly model error, which repeats: deviations are widened by those over
         frequency bands.
         """
         rows, per_row, error = self.rows, self.scale[:, np.newaxis], self.residual / self.scale
@@ -138,12 +138,12 @@ def solve_rows(
     instruments: Instruments | None = None,
     turns: int = _TURNS,
 ) -> Solution:
-    """Return the solution of all parameters, some of which are fixed, or held by a bound.
+    """Solve for all parameters, some fixed or held by a bound.
 
-    Unless an inertia is below 0, what violates a bound most, in deviations, is held there, and the rest solved again.
-    A torque of unstated timing is read in both ways.
+    Unless an inertia is below 0, the parameter that violates a bound most, in deviations, is held there, and the rest
+    solved again. A torque of unstated timing is read in both ways.
 
-    Known are values and bounds by name; there are instruments of "iv" alone, and so many turns of weights at most.
+    `known` has values and bounds by name, `instruments` are for "iv" only, and `turns` limits the turns of weights.
 
     Raises:
         MethodError: all parameters are fixed, the rows do not determine those that are not, or the estimator is not for
@@ -179,9 +179,9 @@ def solve_rows(
 def _settle(
     rows: Rows, estimator: Estimator, fixed: Mapping[str, float], instruments: Instruments | None, turns: int
 ) -> Solution:
-    """Solve again with the weights, and with the instruments, of the values before, until these settle.
+    """Repeat with the previous weights and instruments until the values settle.
 
-    Instruments begin at least squares, of several motors weighted.
+    Instruments begin at least squares, weighted for several motors.
     """
     values = np.array([fixed.get(name, 0.0) for name in rows.names])
     free = [i for i, name in enumerate(rows.names) if name not in fixed]
@@ -205,7 +205,7 @@ def _settle(
 
 
 def _solve(rows: Rows, scale: FloatArray, instruments: FloatArray | None = None) -> FloatArray:
-    """Return the values that solve ``Z' (Y - W x) = 0``, rows divided by a scale, (rows,); Z is W when None."""
+    """Solve the scaled equations of instruments; Z defaults to W."""
     W, Y = rows.W / scale[:, np.newaxis], rows.Y / scale
     if instruments is None:
         return least_squares(W, Y, rows.names)
@@ -216,7 +216,7 @@ def _solve(rows: Rows, scale: FloatArray, instruments: FloatArray | None = None)
 
 
 def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
-    """Return the size of each row's error, (rows,), that of its equation; 1 where a joint's are not weighted."""
+    """Error size of each row's equation, (rows,); 1 for a joint."""
     if rows.equations > rows.driven:
         return np.ones(residual.size)
     least, stated = _TINY * float(np.sqrt(np.mean(rows.Y**2))), np.any(rows.W != 0.0, axis=1)
@@ -226,7 +226,7 @@ def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
 
 
 def _read_timing(held: Solution, sampled: Solution) -> Solution:
-    """Choose between the held and the sampled torque, and widen the solution by the remaining doubt."""
+    """Choose the held or sampled torque, and widen for remaining doubt."""
     each = np.array([held.residual, sampled.residual]).reshape(2, held.rows.driven, -1)
     power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1
     each /= np.sqrt(np.maximum(power, _LEAST * np.mean(held.rows.Y**2)))[:, np.newaxis]

@@ -1,9 +1,9 @@
-"""Simulated joints and robots: parameters in, the filtered errors of all motors' torques and their derivatives out.
+"""Simulated joints and robots: filtered torque errors and their derivatives.
 
-A joint is a robot of one axis without a tree. What moves the motors in a simulation is a log's: controllers that follow
-its references (`LoopLog`), or the motion that its motors made (`MotionLog`). There the links are simulated on their
-springs, and the torques that this takes compared with those that were logged (`simulation.drive_side`), through one
-window and one filter. The positions' own filter goes over the torques and over the direction of friction, too: of
+A joint is a robot of one axis without a tree. A log moves the motors in a simulation: by controllers that follow its
+references (`LoopLog`), or by the motion that its motors made (`MotionLog`). In the latter the links are simulated on
+their springs, and the resulting torques compared with the logged ones (`simulation.drive_side`), through one
+window and one filter. The positions' own filter goes over the torques and over the direction of friction, too: on
 random robots, logged at 500 Hz, it left twice the noise otherwise. Where a motor rests or turns round its row is left
 out, as in IDIM. Noise of the positions is not modelled: what the filter leaves of it pulls the values, as in IDIM by
 least squares.
@@ -109,11 +109,11 @@ class LoopLog:
     Attributes:
         measured: (samples, n) torques.
         filtering: resolved.
-        experiment: what the loops are driven with.
+        experiment: inputs of the loops.
         stride: rad of the fastest motion in one step of the integrator.
-        seen: of each joint, what takes a motor position to a torque that was computed; None where it was logged. The
-            derivatives are those of the controller's output, the same but for what a faster controller sees between.
-        counts: (samples,) 0 at what is left out of the record, which is simulated too, else 1.
+        seen: of each joint, the map from motor position to computed torque; None for a logged torque. Its derivatives
+            are those of the controller's output, except between samples of a faster controller.
+        counts: (samples,) 0 at excluded samples, which are simulated too, else 1.
         ends: samples at either end in which there are no rows.
     """
 
@@ -146,7 +146,7 @@ class LoopLog:
         return replace(self, stride=COARSE)
 
     def under(self, numbers: Numbers) -> LoopInput:
-        """Return the input of a candidate; for a joint, with the controller numbers of the candidate."""
+        """Input of a candidate; for a joint, with its controller numbers."""
         if self.tree is not None:
             return self.experiment
         own, law = names_of(numbers.joints[0]), self.experiment.axis.controller
@@ -171,7 +171,7 @@ class LoopLog:
         return run_loop(experiment, numbers, initial, keep=keep or any(self.seen), stride=self.stride, room=room)
 
     def predict(self, run: Run) -> FloatArray:
-        """Return the torque of a run as the log shows it, or as it is computed from its positions, (samples, n)."""
+        """Predict the torque as logged, or as computed from positions, (samples, n)."""
         torque = self._output(run)
         return torque if self.tree is not None else _show(torque, run.numbers.values[0], self.sample_time)
 
@@ -185,7 +185,7 @@ class LoopLog:
         return torque
 
     def columns(self, run: Run, keys: Sequence[Place]) -> list[FloatArray]:
-        """Return the derivatives of each joint's predicted torque by parameters, raw, (samples, keys)."""
+        """Derivatives of each joint's raw predicted torque, (samples, keys)."""
         if self.tree is not None:
             return differentiate(run, keys)[0]
         values, seen = run.numbers.values[0], self.seen[0] if self.seen else None
@@ -205,7 +205,7 @@ class LoopLog:
 
     @property
     def kept(self) -> NDArray[np.intp]:
-        """The samples that rows are taken at, (rows,): the last, and every so many before it, of those that count."""
+        """Samples of the rows, (rows,): decimated from the last, without excluded ones."""
         samples, keep = len(self.measured), self.filtering.decimation or 1
         at = np.arange((samples - 1) % keep, samples, keep)
         inside = (at >= self.ends[0]) & (at < samples - self.ends[1])
@@ -214,7 +214,7 @@ class LoopLog:
         return at[inside]
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Return columns of one joint, (samples, ...), filtered, in the rows of `kept`."""
+        """Filter one joint's columns, (samples, ...), in the rows of `kept`."""
         del joint
         every = bool(np.all(self.counts))
         rows = self.filtering.decimate(columns if every else (columns.T * self.counts).T, self.sample_time)
@@ -223,14 +223,14 @@ class LoopLog:
 
 @lru_cache(maxsize=2)
 def _change_law(experiment: LoopInput, numbers: tuple[tuple[str, float], ...]) -> LoopInput:
-    """Return an input with other numbers of its controller, the same for many runs of a candidate."""
+    """Input with other controller numbers, cached for many runs of a candidate."""
     return experiment.under(with_numbers(experiment.axis.controller, dict(numbers)))
 
 
 def _show(torques: FloatArray, values: Mapping[str, float], sample_time: float, order: int = 0) -> FloatArray:
-    """Return torques, (samples, columns), with the gain of the log, and as much later as its stamps are wrong.
+    """Apply the log's gain and delay to torques, (samples, columns).
 
-    Of order 1 the derivatives of that by the log's delay: on a sample the mean of the slopes on both sides.
+    With order 1, return the derivatives by the log's delay: on a sample, the mean of the slopes on both sides.
     """
     gain, late = values.get("log_gain", 1.0), values.get("log_delay", 0.0) / sample_time
     if order == 0 and late == 0.0:
@@ -246,14 +246,14 @@ def _show(torques: FloatArray, values: Mapping[str, float], sample_time: float, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionLog:
-    """A log whose motors move as they did.
+    """A log with prescribed motion of the motors.
 
     Attributes:
         measured: (samples, n) torques.
         filtering: resolved.
-        motion: as it was measured.
+        motion: as measured.
         prescribed: the motors' motion.
-        parts: of a sample, in which it is.
+        parts: number of parts of a sample.
     """
 
     measured: FloatArray
@@ -279,9 +279,9 @@ class MotionLog:
         return self.prescribed.position[:: self.parts]
 
     def roughly(self) -> MotionLog:
-        """Return the log's beginning, up to its share of each motor's acceleration, squared.
+        """The log's beginning, up to its share of each motor's squared acceleration.
 
-        Less does to find springs: of six joints and 45 s at 1 kHz a search took seven times as long along the whole.
+        It suffices to find springs: of six joints and 45 s at 1 kHz a search took seven times as long along the whole.
         """
         samples = len(self.motion.a)
         least = math.ceil(_BEGINNING / self.sample_time)
@@ -295,7 +295,7 @@ class MotionLog:
         return replace(self, measured=self.measured[:size], motion=self.motion.cut(0, size), prescribed=prescribed)
 
     def with_rows(self, moving: FloatArray) -> MotionLog:
-        """Return the log with other samples that count, (samples, n) of 0 and 1."""
+        """The log with other weighted samples, (samples, n) of 0 and 1."""
         return replace(self, motion=replace(self.motion, moving=moving * self.motion.counts))
 
     def run(self, numbers: Numbers, *, keep: bool = True, room: Room | None = None) -> DriveSideRun:
@@ -304,7 +304,7 @@ class MotionLog:
         return run_drive_side(self.prescribed, numbers)
 
     def predict(self, run: DriveSideRun) -> FloatArray:
-        """Return the torque of a run as the log shows it, (samples, n)."""
+        """Predict the torque of a run as logged, (samples, n)."""
         return self._show(run, run.torque)
 
     def slopes(self, run: DriveSideRun, keys: Sequence[Place]) -> FloatArray:
@@ -337,7 +337,7 @@ class MotionLog:
         return rows.reshape(len(rows), *columns.shape[1:])
 
     def _show(self, run: DriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
-        """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them."""
+        """Apply the torques' window and log delay to means, (parts, columns)."""
         late = run.numbers.values[0].get(LOG_DELAY.name, 0.0)
         return window_parts(parts, self.parts, late / self.sample_time, order, curved=self.parts == 1)
 
@@ -346,12 +346,12 @@ Log: TypeAlias = LoopLog | MotionLog
 
 
 def decimate_each(log: Log, each: Sequence[FloatArray]) -> FloatArray:
-    """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
+    """Filter signals of each joint, (samples,) or (samples, columns), and concatenate."""
     return np.concatenate(in_threads(lambda j: log.decimate_joint(j, each[j]), range(len(each))))
 
 
 def _filter_error(log: Log, run: Any) -> FloatArray:
-    """Return measured less predicted torques, filtered, (rows,); of a run that failed, something large."""
+    """Filtered torque error, (rows,); large for a failed run."""
     error = log.measured - log.predict(run) if run.outcome is Outcome.FINISHED else _FAILED * log.measured
     return decimate_each(log, list(error.T))
 
@@ -373,7 +373,7 @@ class Simulated:
 
     Attributes:
         logs: each simulated by itself.
-        parameters: what is identified.
+        parameters: identified.
         sigma: (n,) of the joints' errors, by which they are weighted.
     """
 
@@ -383,7 +383,7 @@ class Simulated:
 
     @classmethod
     def of(cls, logs: Sequence[Log], parameters: RobotParameters) -> Simulated:
-        """Return the problem of logs, each joint by the size of its torque."""
+        """Problem of logs, with joints scaled by their torques."""
         return cls(tuple(logs), parameters, np.std(np.vstack([log.measured for log in logs]), axis=0) + 1e-300)
 
     @property
@@ -408,7 +408,7 @@ class Simulated:
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The parameters, with bounds of what is searched."""
+        """Free parameters, with bounds of the search variables."""
         return self.parameters.free
 
     @property
@@ -417,7 +417,7 @@ class Simulated:
         return self.parameters.keys
 
     def scales(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives of the free parameters by what is searched, (free,)."""
+        """Derivatives of the free parameters by the search variables, (free,)."""
         return self.parameters.scales(x)
 
     def numbers(self, x: FloatArray) -> Numbers:
@@ -430,18 +430,18 @@ class Simulated:
         return replace(self, logs=logs) if any(a is not b for a, b in zip(logs, self.logs, strict=True)) else self
 
     def roughly(self) -> Self:
-        """Return the problem in longer steps, or of the logs' beginnings, for the start of a search."""
+        """The problem with longer steps or shorter logs, to begin a search."""
         return self.map_logs(lambda log: log.roughly())
 
     def reweight(self, left: FloatArray, count: int) -> Simulated:
-        """Return the problem weighted by the residual, (rows,), of a fit of `count` parameters."""
+        """Reweight by the residual, (rows,), of a fit of `count` parameters."""
         rows = self.by_joint(left)
         degrees = max(rows.size - count, 1) / rows.size
         least = self.floor / math.sqrt(rows.shape[1])
         return replace(self, sigma=np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
 
     def runs_of(self, numbers: Numbers, *, keep: bool = True) -> Runs:
-        """Simulate numbers along all logs, and keep what their derivatives need."""
+        """Simulate numbers along all logs, and keep data for derivatives."""
         return tuple(log.run(numbers, keep=keep) for log in self.logs)
 
     def run(self, x: FloatArray, *, keep: bool = True) -> Runs:
@@ -463,20 +463,20 @@ class Simulated:
         return beginning.run(solve(beginning, _FIRST_STATE, np.zeros(len(states))).x)
 
     def left_by(self, numbers: Numbers) -> FloatArray:
-        """Return the share of each joint's torque that numbers leave, (n,); infinite if they cannot be simulated."""
+        """Residual share of each joint's torque, (n,); infinite if simulation fails."""
         runs = self.run_of(numbers, keep=False)
         return np.full(self.sigma.size, np.inf) if runs is None else self.norms(self.error(runs)) / self.sizes
 
     def predict(self, runs: Runs) -> FloatArray:
-        """Return the torques of the runs as the logs show them, one after the other, (samples, n)."""
+        """Predict the torques of all logs, (samples, n), one after the other."""
         return np.vstack([log.predict(run) for log, run in zip(self.logs, runs, strict=True)])
 
     def error(self, runs: Runs) -> FloatArray:
-        """Return the filtered error of the runs, measured less predicted, (rows,), not weighted."""
+        """Unweighted filtered error of the runs, measured less predicted, (rows,)."""
         return self._rows([_filter_error(log, run) for log, run in zip(self.logs, runs, strict=True)])
 
     def slopes(self, runs: Runs, x: FloatArray) -> FloatArray:
-        """Return the derivatives of the runs' filtered torques by what is searched, (rows, free), not weighted."""
+        """Unweighted derivatives of filtered torques by the search variables, (rows, free)."""
         each = [log.slopes(run, self.keys) for log, run in zip(self.logs, runs, strict=True)]
         return np.asarray(self._rows(each) * self.scales(x))
 
@@ -494,7 +494,7 @@ class Simulated:
         return self._rows([decimate_each(log, list(log.measured.T)) for log in self.logs])
 
     def _rows(self, each: Sequence[FloatArray]) -> FloatArray:
-        """Return the rows of each log as those of one."""
+        """Join the rows of all logs."""
         return each[0] if len(each) == 1 else join_rows(each, self.sigma.size)  # a copy of one log's would cost time
 
     @property
@@ -509,7 +509,7 @@ class Simulated:
 
     @property
     def floor(self) -> float:
-        """Norm of an error that the simulation itself may have: no joint's is taken for smaller."""
+        """Norm of the simulation's own error, a lower limit for joints' errors."""
         return _EXACT * float(np.max(self.sizes))
 
     def weights(self, rows: int) -> FloatArray:
@@ -522,9 +522,9 @@ class Simulated:
         return np.asarray(error * self.weights(error.size))
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated.
+        """Weighted residual, (rows,), and derivatives, (rows, free); 0 if simulation fails.
 
-        What a simulation keeps is forgotten before that of the next log.
+        The data of a simulation are released before that of the next log.
         """
         numbers, errors, slopes, finished = self.numbers(x), list[FloatArray](), list[FloatArray](), True
         for log in self.logs:
@@ -550,8 +550,8 @@ class ClosedLoopProblem(Simulated):
     hold what is known of the initial state and no position is differentiated.
 
     Attributes:
-        parameters: all of the joint, then of what surrounds it.
-        system: what is simulated.
+        parameters: all of the joint, then of its surroundings.
+        system: the simulated loop or drive side.
     """
 
     parameters: tuple[Parameter, ...]  # type: ignore[assignment]
@@ -586,7 +586,7 @@ class ClosedLoopProblem(Simulated):
 
     @property
     def free_joint(self) -> tuple[Parameter, ...]:
-        """Those of them that belong to the joint; they come first."""
+        """The joint's free parameters, which come first."""
         return tuple(p for p in self.parameters[: len(self.joint.parameters)] if p.free)
 
     @property
@@ -614,21 +614,21 @@ class ClosedLoopProblem(Simulated):
         return {p.name: found.get(p.name, float(p.start or 0.0)) for p in self.parameters}
 
     def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the free parameters of `values`, in order; one that is not there starts as declared."""
+        """Free parameters from `values`, in order; missing ones start as declared."""
         return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
 
     def numbers(self, x: FloatArray) -> Numbers:
-        """Return the numbers of a candidate: those of the joint, and of what surrounds it."""
+        """Numbers of a candidate: those of the joint and its surroundings."""
         return Numbers.of_joint(self.joint, self.values(x))
 
     # Other problems
 
     def replace_parameters(self, changes: Mapping[str, Parameter]) -> ClosedLoopProblem:
-        """Return the problem with the parameters of these names replaced; others are not added."""
+        """Replace the parameters of these names; others are not added."""
         return replace(self, parameters=tuple(changes.get(p.name, p) for p in self.parameters))
 
     def keeping(self, values: Mapping[str, float]) -> ClosedLoopProblem:
-        """Return the problem with parameters fixed at these values, by name; others are not added."""
+        """Fix parameters at these values, by name; others are not added."""
         return self.replace_parameters({p.name: p.fix(values[p.name]) for p in self.parameters if p.name in values})
 
     def freeing(self, *names: str) -> ClosedLoopProblem:
@@ -642,7 +642,7 @@ class ClosedLoopProblem(Simulated):
         return replace(self, parameters=(*kept, *new))
 
     def with_joint(self, joint: Joint, own: Sequence[Parameter] | None = None) -> ClosedLoopProblem:
-        """Return the problem of another joint, with its parameters, or those of this one where it has them."""
+        """The problem of another joint, with shared parameters as in this one."""
         given = {p.name: p for p in self.parameters}
         own = [replace(given.get(p.name, p), symbol=p.symbol) for p in joint.parameters] if own is None else own
         return replace(self, system=replace(self.system, joint=joint), parameters=(*own, *self.around))
@@ -652,7 +652,7 @@ class ClosedLoopProblem(Simulated):
         return self.map_logs(lambda log: replace(log, **changes))
 
     def under(self, controller: Controller, record: Record | None = None) -> ClosedLoopProblem:
-        """Return the problem with another controller: of the same period and delay, or with its record prepared for it.
+        """The problem with another controller, or with its record prepared for it.
 
         Raises:
             RecordError, MethodError: the record, or the law, cannot be at that period.
@@ -668,29 +668,29 @@ class ClosedLoopProblem(Simulated):
         return np.asarray(self.log.decimate_joint(0, columns))
 
     def filtered_error(self, error: FloatArray) -> float:
-        """Return the norm of a filtered error, (rows,), over that of the filtered signal, a ratio."""
+        """Norm of a filtered error, (rows,), relative to the filtered signal's."""
         return float(np.linalg.norm(error) / self.size)
 
     def axis_at(self, x: FloatArray) -> AxisInput:
-        """Return the inputs of the controller with the numbers that these parameters say."""
+        """Inputs of the controller with the numbers of x."""
         experiment: LoopInput = self.log.under(self.numbers(x))
         return experiment.axis
 
     def loop_at(self, x: FloatArray) -> ClosedLoop:
-        """Return the loop with the controller's numbers that these parameters say."""
+        """The loop with the controller's numbers of x."""
         return replace(self.loop, controller=self.axis_at(x).controller)
 
     def simulate(self, x: FloatArray) -> Simulation:
-        """Return the loop's run with these parameters, its torque as the log should show it."""
+        """Simulate the loop with these parameters; its torque is as logged."""
         (run,) = self.run(x)
         return replace(Simulation.of(run), torque=self.log.predict(run)[:, 0])
 
     def torque(self, x: FloatArray, driven: Callable[[AxisInput], AxisInput] | None = None) -> FloatArray:
-        """Return the torque the log of a loop should show, raw, (samples,); `driven` changes what drives it."""
+        """Raw logged torque of a loop, (samples,); `driven` changes its inputs."""
         return np.asarray(self.log.predict(self.log.run(self.numbers(x), keep=False, driven=driven))[:, 0])
 
     def cells(self, simulation: Simulation) -> Cells:
-        """Return the cell of position and velocity of the simulated motor for each row of the residual."""
+        """Cell of the simulated motor's position and velocity, per residual row."""
         return cells(simulation.motor_position[self.log.kept], simulation.motor_velocity[self.log.kept])
 
 
@@ -699,8 +699,8 @@ def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0, torque
 
     With integral action, or without position feedback, this is the first reference.
 
-    A proportional loop lets a load that weighs something sag by the torque that carries it, over its gain. A search
-    that begins beside it may not find it: friction holds the motor where it begins. The torque may be another one than
+    A proportional loop lets a load sag by its torque over the gain. A search that begins elsewhere may not find this
+    position, as friction holds the motor where it begins. The torque may differ from
     the first of the log.
     """
     axis = problem.axis
@@ -721,7 +721,7 @@ def torque_problem(
     parameters: tuple[Parameter, ...],
     surroundings: Sequence[Parameter] = INITIAL_STATE,
 ) -> ClosedLoopProblem:
-    """Return the problem of reproducing a record's torque by simulating the loop from its reference.
+    """Problem of reproducing a record's torque by simulating the loop.
 
     Raises:
         RecordError: the record lacks a channel the loop needs.
@@ -756,19 +756,19 @@ def pose_robot(
     *,
     stated: bool = True,
 ) -> Simulated:
-    """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion.
+    """Problem of reproducing a robot's torques, by loop or along motor motion.
 
-    Along a motion two numbers of the record are searched beside those of the robot: by how much the log shows the
-    torques late, one for all joints, which else would be taken for the springs' damping; and where motors move at the
-    first sample the links' position and velocity there, beside those of steady motion.
+    Along a motion two numbers of the record are searched, too: the delay of the logged torques, one for all joints,
+    which else would appear as damping of the springs; and, if motors move at the first sample, the deviation of the
+    links' position and velocity from steady motion.
 
     Args:
         setup: the robot, and what moves it.
         records: of each joint, on one clock; of one log or several.
         parameters: of the robot.
         filtering: of torques, and of measured positions.
-        delay: s, by which a log along a motion shows the torques late; None to search it.
-        stated: whether the torques' timing is, which a known delay counts from; see `log_delay`.
+        delay: s, of the logged torques along a motion; None to search it.
+        stated: whether the torques' timing is stated, from which a known delay counts; see `log_delay`.
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
@@ -804,9 +804,9 @@ def pose_robot(
 def loop_log(
     loop: ClosedLoop | RobotLoop, records: Sequence[Record], model: str, filtering: Filtering | None
 ) -> LoopLog:
-    """Return the log of controllers that follow their references, of a joint or of a robot.
+    """Log of controllers that follow their references, for a joint or robot.
 
-    Records have a torque, or a motor position that shows what the controller puts out. The filter's cut-off is by
+    Records have a torque, or a motor position that determines the controller's output. The filter's cut-off is by
     default that of the model, "rigid" or "flexible".
 
     Raises:
@@ -831,7 +831,7 @@ def loop_log(
 
 
 def _motion_log(robot: Robot, records: Sequence[Record], model: str, filtering: Filtering) -> tuple[MotionLog, Bools]:
-    """Return a log along the motors' motion, and which motors rest at its first sample, (n,)."""
+    """Log along the motors' motion, and which motors initially rest, (n,)."""
     if records[-1].payload:
         raise MethodError(
             "A payload of a record is taken by IDIM and DIDIM; received one on the drive side: leave it out."
@@ -858,7 +858,7 @@ def _motion_log(robot: Robot, records: Sequence[Record], model: str, filtering: 
 
 
 def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
-    """Return parameters with those of the record: the log's delay, and the links' first state where motors move."""
+    """Add the log's delay, and moving links' initial state, to parameters."""
     more, states = [(delay, _LATE)] if delay.free else [], list[Place]()
     for j in np.flatnonzero(np.array(robot.flexible) & ~resting).tolist():
         for name, quantity in zip(LOAD_STATE, (Quantity.POSITION, Quantity.VELOCITY), strict=True):

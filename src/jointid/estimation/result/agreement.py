@@ -1,26 +1,24 @@
-"""Do records agree, or the segments of a long one? The estimates of each by itself, tested against one common value.
+"""Test of agreement of several records, or of segments of one.
 
-With the estimates x_k of K records and their covariances V_k, the common value is their generalised least squares, and
-what each differs from it, weighed by its own covariance, is chi-square where they agree (Wald; Cochran 1954)::
+With the estimates x_k of K records and their covariances V_k, the common value is their generalised least squares. The
+differences from it, weighted by the covariances, are chi-square if they agree (Wald; Cochran 1954)::
 
     Q = sum_k (x_k - x)' V_k^-1 (x_k - x)        of (K - 1) p degrees of freedom
 
-jointly over p parameters, and of K - 1 for each by itself. Where all of them jointly differ so much by a chance of less
-than 5 %, those that do by themselves disagree (Fisher's protected comparisons); and so does, whatever the others say, a
-parameter with less than 5 % over p (Bonferroni). Of records that agree, one in ten at most is then called otherwise.
-What the runs differ by is no noise within a run, and the variance between runs is that of DerSimonian and Laird
-(1986)::
+jointly over p parameters, and of K - 1 for each by itself. If the joint p-value is below 5 %, parameters with single
+p-values below 5 % disagree (Fisher's protected comparisons). A parameter with less than 5 % over p always disagrees
+(Bonferroni). At most one in ten sets of agreeing records is then reported as disagreeing. The variance between runs is
+that of DerSimonian and Laird (1986)::
 
     t^2 = max(0, (Q - (K - 1)) / (sum w - sum w^2 / sum w)),        w = 1 / V_k
 
 It widens the deviation of the common value by ``t^2 sum w^2 / (sum w)^2``. From two records it is one number squared:
-as uncertain as its own size. The records' errors are taken to be independent; what repeats in both of them alike (the
-same friction at the same place) makes them agree too well, and is no business of this test.
+as uncertain as its own size. The records' errors are taken to be independent; errors that repeat in both of them (the
+same friction at the same place) make them agree too well, and are not tested here.
 
-A segment is a number of windows of a long record that follow each other. What it says alone is one Gauss-Newton step
-from what all of them say, which is near. Its deviations come from how its windows differ, in units of what a window of
-it tells: so measured, windows scatter alike in all segments, and from all of them together that is known well enough to
-test by.
+A segment is a number of consecutive windows of a long record. Its own estimate is one Gauss-Newton step from the common
+one. Its deviations come from the scatter of its windows, in units of a window's information. In these units windows
+scatter alike in all segments, so that all segments together determine the scatter for the test.
 """
 
 from __future__ import annotations
@@ -44,13 +42,13 @@ _TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alone:
-    """The estimate from one record, or from one part of a long log, by itself.
+    """Estimate from one record, or one part of a long log, alone.
 
     Attributes:
-        values: of the free parameters, by name, but for those that it does not tell, as friction backwards in hours
-            that only go forwards; covariance: of these, in that order.
-        name: of the record, or of which part it is.
-        filtered_error: what the joint of all leaves of its filtered torque; a ratio.
+        values: of the free parameters, by name, without undetermined ones, as friction backwards in hours of
+            forward motion; covariance: of these, in that order.
+        name: of the record or part.
+        filtered_error: of its filtered torque, under the common joint; a ratio.
     """
 
     in_json = "std -covariance"
@@ -67,12 +65,12 @@ class Alone:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How one parameter differs between records, or between segments of one.
+    """Difference of one parameter between records, or segments of one.
 
     Attributes:
         name, unit: of the parameter.
-        p_value: how often records that agree differ so much.
-        between: standard deviation between the runs, 0 where their own intervals explain the difference.
+        p_value: probability of as large a difference of agreeing records.
+        between: standard deviation between the runs, 0 if their own intervals explain the difference.
         differs: whether it disagrees, allowing for how many parameters were tested.
         widening: variance between records, added to that of the common value; 0 where the records agree.
     """
@@ -107,9 +105,9 @@ class Agreement:
 
     Attributes:
         parameters: one by one.
-        p_value: of all of them jointly; None where nothing was compared.
+        p_value: of all of them jointly; None if nothing was compared.
         parts: the records, or the segments in the order of time, each by itself.
-        of: what they are.
+        of: "records" or "segments".
     """
 
     in_json = "differs"
@@ -120,7 +118,7 @@ class Agreement:
 
     @property
     def differs(self) -> bool:
-        """Whether the records differ by more than their intervals allow, jointly or in one of the parameters."""
+        """Whether the records differ significantly, jointly or in one parameter."""
         return any(p.differs for p in self.parameters) or (self.p_value is not None and self.p_value <= LEVEL)
 
     @property
@@ -150,9 +148,9 @@ def compare_records(records: Sequence[Alone], units: Mapping[str, str], of: str 
     """Test whether records agree in their common parameters.
 
     Args:
-        records: what each says by itself; a parameter that one could not tell is left out of it.
+        records: the estimate of each by itself, without its undetermined parameters.
         units: of the parameters, by name; those that are compared.
-        of: what they are.
+        of: "records" or "segments".
     """
     from scipy.special import chdtrc
 
@@ -199,11 +197,11 @@ def drift(
     free: Sequence[Parameter],
     units: Mapping[str, str],
 ) -> Agreement | None:
-    """Return whether the segments of a record agree; None where it is too short for two.
+    """Test whether segments of a record agree; None if too short.
 
     Args:
         windows: in the order of time, at x.
-        x: (free,) what all of them say.
+        x: (free,) the common estimate.
         free: the parameters.
         units: of the parameters, by name.
     """
@@ -238,6 +236,6 @@ def drift(
 
 
 def _invert_root(A: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the inverse root of J'J, symmetric where J has columns of length 1; and which parameters J determines."""
+    """Symmetric inverse root of scaled J'J, and the determined parameters."""
     scale, values, vectors = determine(A)
     return vectors / np.sqrt(values) @ vectors.T / scale[:, np.newaxis], np.sum(vectors**2, axis=1) > _TOLD

@@ -1,7 +1,4 @@
-"""The estimate: what `identify` returns, complete and frozen, of a joint as of a robot; its parts and its builder.
-
-Every problem's solution ends in `build_estimate`, with what differs as arguments.
-"""
+"""The estimate of a joint or robot, its parts, and `build_estimate`."""
 
 from __future__ import annotations
 
@@ -50,17 +47,17 @@ class EstimatedParameter:
     """One row of the table.
 
     Attributes:
-        name, symbol, unit: what it is.
+        name, symbol, unit: of the parameter.
         value: the estimate; None when it is refused.
         stderr: its standard error; None for a parameter that was kept fixed, or refused.
         free: whether it was identified.
-        lower_bound: what the record supports when the value is refused.
-        of_joint: False for what surrounds the joint (the initial state).
-        at_bound: the bound that holds it, where it does not follow the record; None where none does.
-        lack_of_fit: by how much what the joint has and its model has not may move it, as one deviation; it is the same
-            in every record of such a motion, so it is no part of `stderr`.
-        axis: the joint of a robot; empty for a single joint, and for what is of all axes.
-        formula: of a robot the sum of its own numbers that this is; the symbol where it is no sum. Empty for a joint.
+        lower_bound: supported by the record if the value is refused.
+        of_joint: False for the joint's surroundings (the initial state).
+        at_bound: the active bound, where it does not follow the record; None without one.
+        lack_of_fit: possible shift by unmodelled properties of the joint, as one deviation; it is the same in every
+            record of such a motion, so it is no part of `stderr`.
+        axis: the joint of a robot; empty for a single joint, and for parameters of all axes.
+        formula: for a robot, the sum of its own numbers, or the symbol if it is no sum. Empty for a joint.
         nominal: of the robot as it was given; None for a joint.
     """
 
@@ -80,12 +77,12 @@ class EstimatedParameter:
 
     @property
     def deviation(self) -> float | None:
-        """The standard error and the lack of fit together: half of half the interval; None without a standard error."""
+        """Standard error combined with lack of fit; None without a standard error."""
         return None if self.stderr is None else math.hypot(self.stderr, self.lack_of_fit)
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Lower and upper end of the value with two deviations; None where there is no standard error."""
+        """Ends of the 2-sigma interval; None without a standard error."""
         deviation = self.deviation
         if self.value is None or deviation is None:
             return None
@@ -102,20 +99,20 @@ class EstimatedParameter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """How well the model reproduces the torque, and what it took to find out.
+    """Accuracy of the reproduced torque, and the effort of the search.
 
     Attributes:
         measured, predicted: (samples,) raw torque, and that of the model; of several records one after the other; empty
             for a log that is too long for memory; of a robot (samples, n), in the order of its joints.
         relative_error: ``||measured - predicted|| / ||measured||`` of the raw torque, the filter's borders left out.
-        filtered_error: the same of the filtered and decimated torque: what was minimised.
+        filtered_error: the same of the filtered and decimated torque, which was minimised.
         rows: filtered samples that were fitted.
         simulations: of the search, with or without derivatives.
         stop: why the search ended, in a sentence; converged: whether that is a good end.
         conditioning: of the regressor, for a linear regression.
         passes: over the whole of a long log.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
-        nominal_errors: the same of the nominal robot, with the friction of the estimate; infinite where it cannot be
+        nominal_errors: the same of the nominal robot, with the friction of the estimate; infinite if it cannot be
             simulated.
     """
 
@@ -226,27 +223,27 @@ class Settings:
 class Estimate(Documented):
     """The result of an identification.
 
-    What follows `robot` is kept for the checks alone: `identify` returns an estimate without it.
+    The fields after `robot` are for the checks only: `identify` returns an estimate without them.
 
     Attributes:
-        rows: the parameters, in the order of the model, then of what surrounds it; ``name@2`` is the second record's.
-        correlation: of the errors of the free parameters, all of them, or the joint's, which come first; empty where it
-            is not known.
+        rows: the parameters, in the order of the model, then of its surroundings; ``name@2`` is the second record's.
+        correlation: of the errors of the free parameters, all of them, or the joint's, which come first; empty if
+            unknown.
         fit: measured and predicted torque, errors, and how the search went.
         data: the record or records.
         settings: the model and the method, defaults filled in.
-        checks: answers to the questions that were asked of it, one or more statements each.
-        known: which parameters and combinations the record determines, and how well; None where it was not asked.
+        checks: answers to the questions that were tested, one or more statements each.
+        known: which parameters and combinations the record determines, and how well; None if not computed.
         bounds: lower bounds of a refused stiffness, by the load's share of the inertia.
         agreement: whether several records, each by itself, agree, or the segments of a long log.
         warnings: one sentence each.
         notes: on how the intervals were obtained, one sentence each.
-        diagnosis: of loop, log and residual, axis by axis, a `Diagnosis`; None where it was not made.
-        robot: of a robot what was identified as it is simulated; None for a joint.
+        diagnosis: of loop, log and residual, axis by axis, a `Diagnosis`; None if it was not made.
+        robot: the identified robot as it is simulated; None for a joint.
         problem, x: the closed loop that was simulated, and its free parameters; None for other methods. An estimate
             without checks keeps x.
         records: the one record of a joint, or those of a robot's joints; else none.
-        solved: of a robot that was simulated along one log; None elsewhere.
+        solved: fit of a robot that was simulated along one log; None otherwise.
         shifts: (free,) each, by which the deviations of a joint's simulation were widened.
         window: of a log in windows the fit of the one that the search began with, which is checked.
     """
@@ -276,7 +273,7 @@ class Estimate(Documented):
 
     @property
     def answer(self) -> Answer:
-        """The first line: value, 2-sigma interval and unit, and whether to rely on it; see `Answer`."""
+        """Value, 2-sigma interval, unit and trust, in a line; see `Answer`."""
         return answer_of(self)
 
     @property
@@ -290,7 +287,7 @@ class Estimate(Documented):
         return {row.name: row for row in self.rows}
 
     def __getitem__(self, name: str) -> EstimatedParameter:
-        """Return a parameter by its name or symbol; ``name@2`` is the second record's own.
+        """Parameter by name or symbol; ``name@2`` is the second record's own.
 
         Raises:
             MethodError: there is none of this name.
@@ -307,9 +304,9 @@ class Estimate(Documented):
         return tuple(row.name for row in self.rows if row.free)
 
     def covariance_of(self, names: Sequence[str]) -> Covariance:
-        """Return the covariance of the errors of some parameters, (names, names), as far as it is known.
+        """Known covariance of the errors of some parameters, (names, names).
 
-        A parameter that is fixed or refused has no deviation, and one of unknown correlation none with others.
+        A fixed or refused parameter has no deviation, and one of unknown correlation none with others.
         """
         rows, free, correlation = self.parameters, self.free[: len(self.correlation)], np.eye(len(names))
         known = [i for i, name in enumerate(names) if name in free]
@@ -318,7 +315,7 @@ class Estimate(Documented):
         return Covariance(np.array([rows[name].stderr or 0.0 for name in names]), correlation)
 
     def about(self, name: Subject) -> tuple[Check, ...]:
-        """Return the statements that answer a question, the foremost first; none where it was not asked."""
+        """Statements on a question, the foremost first; none if not asked."""
         return tuple(check for check in self.checks if check.name == name)
 
     @property
@@ -329,28 +326,28 @@ class Estimate(Documented):
 
     @property
     def residual(self) -> FloatArray:
-        """Measured less predicted torque, raw, (samples,); empty for a log that is too long for memory."""
+        """Measured less predicted raw torque, (samples,); empty for a long log."""
         return self.fit.measured - self.fit.predicted
 
     @property
     def signal(self) -> str:
-        """The name of the signal that the fit compares, such as a torque computed from the position."""
+        """Name of the compared signal, such as torque computed from position."""
         return f"torque{' computed from the position' if self.about(Subject.SCALE) else ''}"
 
     @property
     def motion_measured(self) -> bool:
-        """True if the measured motion is taken as free of the error: on the drive side, and by IDIM without "iv"."""
+        """True if the measured motion is assumed exact (drive side, IDIM)."""
         simulates = self.settings.simulates
         return simulates == "motion" or not (simulates or self.fit.simulations)
 
     @property
     def values(self) -> dict[str, float]:
-        """The parameters of the joint by name, fixed ones included; a refused one is missing."""
+        """The joint's parameters by name, fixed ones included, without refused ones."""
         return {p.name: p.value for p in self.rows if p.of_joint and p.value is not None}
 
     @property
     def frequencies(self) -> dict[str, float]:
-        """Frequencies of a flexible joint, Hz, as `FlexibleJoint.frequencies` names them; none at a bound."""
+        """Frequencies of a flexible joint, Hz, see `FlexibleJoint.frequencies`; none at bounds."""
         found = [p for p in self.rows if p.name in ("motor_inertia", "load_inertia", "stiffness")]
         known = len(found) == 3 and all((p.value or 0.0) > 0 and p.at_bound is None for p in found)
         return FlexibleJoint.frequencies(self.values) if known else {}
@@ -389,9 +386,9 @@ class Estimate(Documented):
         return self.values
 
     def torque(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> FloatArray:
-        """Return the torque of a motion, as for a feed-forward, N m or N, as the log has it.
+        """Torque of a motion, as for a feed-forward, N m or N.
 
-        A spring does not deflect in this motion, so that motor and load move alike.
+        Springs do not deflect in this motion: motor and load move alike. The torque has the log's side and unit.
 
         Args:
             q: (samples,) position of a joint, or (samples, n) of the joints of a robot, rad or m, on the side that was
@@ -434,7 +431,7 @@ class Estimate(Documented):
         return np.asarray(columns @ np.array([*self.values.values()])).reshape(shape)
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
+        """The estimate as a document: tables, errors, failed verdicts and warnings.
 
         Args:
             details: whether to add the verdicts that passed, all reasons, tests, effort and settings.
@@ -447,7 +444,7 @@ class Estimate(Documented):
     # names, as in a user's program.
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the estimate as JSON has it: what `jointid identify --json` writes, see docs/answers.md."""
+        """The estimate as JSON of `jointid identify --json`, see docs/answers.md."""
         import jointid
 
         return jointid.to_dict(self)
@@ -470,12 +467,12 @@ class Estimate(Documented):
 
 
 def fingerprint(torque: FloatArray) -> str:
-    """Return the SHA-256 of a torque's samples: two records with the same one are the same record."""
+    """SHA-256 of a torque's samples, which identifies a record."""
     return hashlib.sha256(np.ascontiguousarray(torque).tobytes()).hexdigest()
 
 
 def law_fingerprint(loop: ClosedLoop) -> str:
-    """Return the SHA-256 of a loop's controller at a fixed period: two loops with the same one have the same law."""
+    """SHA-256 of a loop's controller at a fixed period, identifying its law."""
     slow = getattr(loop.controller, "position_period", None)  # a whole number of times as long, within bounds
     law = loop.controller.law(slow / min(max(round(slow / _PERIOD), 1), _MOST) if slow else _PERIOD)
     parts = (law.A, law.B, law.C, law.D, law.E, law.F, law.limits, np.array([law.period, law.delay]))
@@ -483,7 +480,7 @@ def law_fingerprint(loop: ClosedLoop) -> str:
 
 
 def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[int, int]) -> float:
-    """Return ``||measured - predicted|| / ||measured||`` with samples left out at both ends; NaN without samples."""
+    """``||measured - predicted|| / ||measured||`` inside the borders; NaN without samples."""
     if not measured.size:
         return math.nan
     if sum(borders) >= measured.size:
@@ -501,9 +498,9 @@ def relative_error(measured: FloatArray, predicted: FloatArray, borders: tuple[i
 def rows_of_problem(
     problem: ClosedLoopProblem, x: FloatArray, covariance: Covariance, error: FloatArray, J: FloatArray
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the parameters of a problem's solution x, (free,), those of the joint and of what surrounds it.
+    """Rows of a problem's solution x, (free,), for joint and surroundings.
 
-    A deviation that is no number is not known. Residual and derivatives there tell which bounds are reached.
+    A non-finite deviation is unknown. Residual and derivatives at x determine which bounds are reached.
     """
     own, held = {p.name for p in problem.joint.parameters}, find_active_bounds(problem.free, x, error, J)
     std = {p.name: float(one) for p, one in zip(problem.free, covariance.std, strict=False) if np.isfinite(one)}
@@ -518,9 +515,9 @@ def build_rows(
     of_joint: Collection[str],
     held: Mapping[str, float],
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the rows of parameters, from their values, deviations of the free ones, and bounds that hold, by name.
+    """Rows of parameters, from values, deviations and active bounds by name.
 
-    The names in `of_joint` belong to the joint, and not to what surrounds it.
+    The names in `of_joint` belong to the joint, and not to its surroundings.
     """
     return tuple(
         EstimatedParameter(
@@ -548,21 +545,21 @@ def build_estimate(
     warnings: Sequence[str] = (),
     **found: Any,
 ) -> Estimate:
-    """Return the estimate that a method ends with: of a joint or a robot, from one record or several.
+    """Build the estimate of a joint or robot from a method's results.
 
     Args:
         records: that were read; of a robot those of its joints, one log after the other.
         rows: the parameters.
         correlation: of the errors of the free ones, in their order.
         torques: (samples, n) each, measured and predicted; of a joint n is 1, or they are (samples,).
-        error: share of the filtered torque that the model leaves; of a robot (n,).
+        error: residual share of the filtered torque; of a robot (n,).
         fitted: rows of the filtered torque.
         end: why the search ended, and whether that is a good end.
         simulations: of the search.
         settings: model and method.
         channels: that were read; without them those of the loop, or else all of the records'.
         robot: that was identified; None for a joint.
-        nominal: (n,) share of each joint's filtered torque that the nominal robot leaves.
+        nominal: (n,) residual share of each joint's filtered torque for the nominal robot.
         warnings: of the method.
         found: further parts of the estimate.
     """
@@ -617,7 +614,7 @@ def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArr
 
 
 def warn_of_limit(share: float) -> tuple[str, ...]:
-    """Return a sentence on a controller that was at its limit in more than a few of its periods."""
+    """Warning of a controller at its limit in more than few periods."""
     if share <= _AT_LIMIT:
         return ()
     said = f"the controller is at its limit in {100 * share:.1f} % of the periods"

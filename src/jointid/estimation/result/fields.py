@@ -1,8 +1,8 @@
-"""Data classes as JSON and back: the fields of a class by their names, and those of its parts.
+"""Data classes as JSON and back: fields by name, recursively.
 
-Samples and matrices, the fields of arrays, are left out. A class may say otherwise in `in_json`, a text of names: it
-adds arrays, properties and "type", the name of the class, and leaves out what stands behind a minus sign. Parts that
-then hold nothing are left out. Numbers that do not exist are null in JSON.
+Samples and matrices, the fields of arrays, are left out. A class may change this by `in_json`, a text of names: it
+adds arrays, properties and "type", the name of the class, and leaves out names behind a minus sign. Empty
+parts are left out. Missing numbers are null in JSON.
 """
 
 import json
@@ -21,7 +21,7 @@ from jointid.common.files import write_whole
 
 
 def plain(value: Any, whole: bool = False) -> Any:
-    """Return a value as JSON has it: a data class by its fields, or `whole`: those that `read` gives back."""
+    """Convert a value to JSON; `whole` keeps the fields that `read` needs."""
     kind: Any = type(value)
     if is_dataclass(value):
         names = _names(kind, whole)
@@ -48,7 +48,7 @@ def _names(kind: Any, whole: bool) -> tuple[str, ...]:
 
 
 def read(kind: Any, raw: Any, **given: object) -> Any:
-    """Return a value of JSON as one of a type, a data class from its fields; those it has beside them are not read.
+    """Read a JSON value as a type; unknown fields are ignored.
 
     Args:
         kind: of the value.

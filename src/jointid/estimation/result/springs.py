@@ -1,6 +1,6 @@
-"""Whether a record shows a joint's spring at all; where it does not, how soft the spring could be.
+"""Whether a record shows a joint's spring, or else its stiffness bound.
 
-A search always ends somewhere, and its end has a stiffness. What must hold before that number is reported is listed in
+The end of a search always has a stiffness. The conditions for reporting it are listed in
 docs/how-it-works.md.
 
 Otherwise the record says only how soft the spring may be, for each share of the load in the inertia, which is not known
@@ -82,10 +82,10 @@ _SPRING = ("motor_inertia", "load_inertia", "stiffness", "damping")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visibility:
-    """Whether a record shows a joint's spring; of a spring that is refused also what is said in its place.
+    """Whether a record shows a joint's spring, and results if refused.
 
     Attributes:
-        checks: whether its stiffness is reported, and why not.
+        checks: whether its stiffness is reported, or the reasons against it.
         rigid: values of the rigid joint on the same band; std: standard deviations of those that it determines.
         bounds: of the stiffness.
         notes: on the deviations of the rigid joint.
@@ -103,7 +103,7 @@ class Visibility:
         return all(check.passed for check in self.checks)
 
     def state(self, estimate: Estimate) -> Estimate:
-        """Return an estimate with the verdict; of a refused spring with the sums of both sides in its place."""
+        """Add the verdict to an estimate; a refused spring leaves sums only."""
         joint, rows = estimate.settings.joint, list[EstimatedParameter]()
         if self.shown:
             return replace(estimate, checks=(*estimate.checks, *self.checks))
@@ -134,14 +134,14 @@ def visible(
     progress: Progress,
     shares: Sequence[float] = SHARES,
 ) -> Visibility:
-    """Return whether a record shows the spring of an estimate, or else how soft it may be.
+    """Test whether a record shows the spring; else bound its stiffness.
 
     Args:
         problem: of the flexible joint, as it was solved.
         x: its free parameters.
         J: (rows, free) the derivatives of the torque there, filtered.
-        known: how well.
-        together: how many of how many starts led to the estimate.
+        known: uncertainty of x.
+        together: number of starts that led to the estimate, and of all starts.
         progress: receives the steps.
         shares: of the load in the inertia, for which bounds are searched.
     """
@@ -180,7 +180,7 @@ def visible(
 
 
 def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
-    """Return the problem of a rigid joint on the same band, and its solution."""
+    """Rigid problem on the same band, and its solution."""
     flexible = problem.joint
     assert isinstance(flexible, FlexibleJoint)
     joint = flexible.rigid
@@ -198,7 +198,7 @@ def _doubts(
     squares: tuple[float, float],
     together: tuple[int, int],
 ) -> Iterator[str]:
-    """Yield why the spring is not to be believed, whatever a test says; `squares` are those with it and without."""
+    """Yield reasons to refuse the spring; `squares` are with and without it."""
     # Whatever its inertia, a mass that its friction holds makes the same torque: where the search left it says nothing.
     idle = {p.name for p, column in zip(problem.free, J.T, strict=True) if not column.any()}
     for side in ("motor", "load"):
@@ -220,7 +220,7 @@ def _doubts(
 
 
 def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:
-    """Return the effects of springs on the residual, each (rows, 1), at some load shares and modes."""
+    """Effects of springs on the residual, (rows, 1) each, at several modes."""
     cutoff, divided = problem.filtering.cutoff or 0.0, divide(problem.parameters, rigid, 1.0)
 
     def residual_at(at: tuple[float, float]) -> FloatArray:
@@ -234,7 +234,7 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
 
 
 def _other_spring(made: ModeProfile, stiffness: float, std: float) -> list[str]:
-    """Return another admissible spring at 95 %, or a rigid joint, in a sentence; none of a stiffness that is told."""
+    """Another admissible spring or rigid joint at 95 %, in a sentence."""
     limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + _BOTH_SIDES * made.threshold
     if made.stiff.least <= limit:  # also where it cannot be simulated, so that nothing is excluded
         return ["a joint that is nearly rigid explains the torque as well, within 95 %"]
@@ -250,11 +250,11 @@ def _other_spring(made: ModeProfile, stiffness: float, std: float) -> list[str]:
 
 
 def describe(problem: ClosedLoopProblem, room: tuple[float, float], held: Mapping[str, float]) -> Reparametrised:
-    """Return a flexible problem by inertia, damping ratio, share of the load and mode, and what else was free.
+    """Reparametrise a flexible joint by inertia, damping ratio, load share and mode.
 
     Args:
         problem: of the flexible joint, inertias and spring free.
-        room: the modes a free one stays between, Hz.
+        room: bounds of a free mode, Hz.
         held: share, and mode in Hz, free-free, by name; those that are not free.
     """
     four = (
@@ -278,7 +278,7 @@ def _by_name(free: Sequence[Parameter], x: Any) -> dict[str, Any]:
 
 
 def spring(described: Mapping[str, Any]) -> dict[str, Any]:
-    """Return both inertias, stiffness and damping of a joint described by inertia, share, mode and ratio."""
+    """Inertias, stiffness and damping from inertia, share, mode and ratio."""
     return split_by_mode(*(described[name] for name in ("inertia", "share", "mode", "ratio")))
 
 
@@ -287,7 +287,7 @@ class Fit(NamedTuple):
 
     Attributes:
         at: inertia, ratio, share, mode and the others by name.
-        cost: sum of squares. least: what its last linearisation promises, if that is less.
+        cost: sum of squares. least: predicted by its last linearisation, if less.
     """
 
     at: Mapping[str, float]
@@ -302,11 +302,11 @@ class Fit(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class ModeProfile:
-    """The criterion over modes, with everything else fitted anew, on a band that shows modes above the fitted one, too.
+    """Criterion over modes with everything else refitted, on a wider band.
 
     Attributes:
         problem: see `describe`. room: the modes between which it is made, Hz.
-        threshold: how much worse than the best a joint may be; infinite where the stiff joint explains nothing.
+        threshold: admissible increase of the cost over the best; infinite if the stiff joint explains nothing.
         stiff: the joint that is nearly rigid.
         points: with the mode held, the stiffest first.
         minima: with it free, the best first.
@@ -320,7 +320,7 @@ class ModeProfile:
     minima: list[Fit] = field(default_factory=list)
 
     def fit(self, start: Mapping[str, float], evaluations: int, **held: float) -> Fit:
-        """Return the best joint near a start, with its share or its mode held."""
+        """Best joint near a start, with its share or mode held."""
         problem = describe(self.problem, self.room, held)
         bounds, x = Bounds.of(problem.free), np.array([start[p.name] for p in problem.free])
         end = solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
@@ -340,11 +340,11 @@ def profile_modes(
     *,
     thorough: bool = False,
 ) -> ModeProfile:
-    """Return the profile over all modes, the load's share free.
+    """Profile over all modes, with free load share.
 
     Args:
         problem: of the flexible joint, as it was solved.
-        rigid: every parameter of a rigid joint on the same band, and of what surrounds it.
+        rigid: every parameter of a rigid joint on the same band, and of its surroundings.
         found: every parameter of the flexible joint that the search ended on.
         thorough: whether a dip is also followed from another share and a small damping, as before a value is given.
     """
@@ -384,18 +384,18 @@ def profile_modes(
 
 
 def damping_ratio(values: Mapping[str, float]) -> float:
-    """Return the damping ratio of a flexible joint's mode; 0 of a joint without a spring."""
+    """Damping ratio of a flexible joint's mode; 0 without a spring."""
     motor, load = values["motor_inertia"], values["load_inertia"]
     size = 2 * math.sqrt(values["stiffness"] * motor * load / (motor + load))
     return values["damping"] / size if size > 0 else 0.0
 
 
 def _compute_cost_limit(made: ModeProfile) -> float:
-    """Return the chi-square threshold on the cost, scaled for the autocorrelation of the residual.
+    """Chi-square threshold on the cost, scaled for the residual's autocorrelation.
 
-    The ratio of the compliance's robust deviation to that of a white residual is taken where the spring is stiff, and
-    its friction on the motor's side: there the load's does nothing else. Where that joint explains nothing, as when its
-    loop is unstable, there is no such ratio, and nothing is excluded.
+    The ratio of the compliance's robust deviation to that of a white residual is taken with a stiff spring and the
+    friction on the motor's side, where the load's friction has no further effect. If that joint explains nothing, as
+    when its loop is unstable, there is no such ratio, and nothing is excluded.
     """
     problem, high = made.problem, made.room[1]
     if made.stiff.cost > np.sum(problem.filter(problem.measured) ** 2):
@@ -412,10 +412,10 @@ def _compute_cost_limit(made: ModeProfile) -> float:
 
 
 def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessBound:
-    """Return the softest spring at a load share.
+    """Softest admissible spring at a load share.
 
     Args:
-        made: the profile over modes, the load's share free: what it excludes is not tried again.
+        made: the profile over modes, the load's share free; modes that it excludes are not tried again.
         share: of the load in the inertia.
         floor: Hz, of a mode that is excluded at a smaller share: of a larger one it moves more of the torque.
     """

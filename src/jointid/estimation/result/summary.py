@@ -1,4 +1,4 @@
-"""An estimate as a document: a screen of it, or all there is to say; and its tables, for every rendering of it."""
+"""An estimate as a document, short or full, and its tables."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
 
 
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
-    """Yield errors by axis, parameters, what is known together, bounds, segments, and sums."""
+    """Yield tables: errors by axis, parameters, combinations, bounds, segments, sums."""
     fit, rows, parts = estimate.fit, estimate.rows, _parts_of(estimate, "segments")
     if axes := [*fit.axis_errors]:
         columns = {"estimate": fit.axis_errors} | ({"nominal": fit.nominal_errors} if fit.nominal_errors else {})
@@ -107,7 +107,7 @@ def _percent(share: float) -> str:
 
 
 def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) -> Iterator[tuple[str, str]]:
-    """Yield the facts of the fit, how many questions passed, method, data and side of the values."""
+    """Yield facts: fit, passed questions, method, data and side of values."""
     fit, data, settings, system = estimate.fit, estimate.data, estimate.settings, estimate.settings.system
     if not fit.axis_errors:
         raw = f"{100 * fit.relative_error:.4f} % raw, " if math.isfinite(fit.relative_error) else ""
@@ -133,11 +133,11 @@ def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) 
 
 
 def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping[str, float] | None = None) -> Table:
-    """Return the parameters with their intervals.
+    """Table of the parameters with their intervals.
 
     Args:
         estimate: whose parameters are shown.
-        details: whether to show the state at the first sample, and what a robot's record does not tell from 0.
+        details: whether to show the state at the first sample, and insignificant values of a robot.
         truth: true values by name, others are not shown.
     """
     said, hidden = remarks(estimate), 0
@@ -169,7 +169,7 @@ def _parts_of(estimate: Estimate, of: str) -> tuple[Alone, ...]:
 
 
 def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
-    """Test whether a parameter has a row: of a robot a value that the record tells from 0, or a bound."""
+    """Test whether a parameter has a row: for robots, significant or bounded."""
     if not p.formula:
         return details or p.name.partition("@")[0] not in INITIAL
     if p.value is None:
@@ -178,7 +178,7 @@ def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
 
 
 def remarks(estimate: Estimate) -> dict[str, str]:
-    """Return remarks on parameters, by name: how much the value changes once a fault is corrected, known only with."""
+    """Remarks on parameters by name: change by a correction, or strong correlation."""
     rows = {p.name: p for p in estimate.rows if p.value is not None}
     moved = {name: sum(by) for name, by in moved_by_loop(estimate).items() if name in rows}
     shown = {name: by for name, by in moved.items() if abs(by) > _SHOWN_SHIFT * (rows[name].stderr or 0.0)}

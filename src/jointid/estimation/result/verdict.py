@@ -1,8 +1,8 @@
-"""Checks of an estimate, each a question with its answer, and the rule for relying on the asked value.
+"""Checks of an estimate, and the rule for relying on its value.
 
-What was asked for is the stiffness of a flexible joint, the inertia of a rigid one, and all parameters of a robot. One
-rule says whether to rely on it: nothing that was checked moves it out of its interval. A residual that is coloured or
-repeats is in the interval already, and a fault of the loop that moves a friction leaves the inertia what it is.
+The asked value is the stiffness of a flexible joint, the inertia of a rigid one, and all parameters of a robot. One
+rule decides whether to rely on it: no checked fault moves it out of its interval. The interval already covers a
+residual that is coloured or repeats, and a fault of the loop that moves a friction does not change the inertia.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class Check(Message):
 def check_of(
     name: Subject, passed: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
 ) -> Check:
-    """Return a check of one statement: the code, or that it passed, or None that nothing could be tested."""
+    """Check of one statement: failed with `code`, passed, or not tested (None)."""
     codes = {True: Reason.PASSED, False: code, None: Reason.NOT_TESTED}
     return Check(codes[passed], said, values or {}, name=name, passed=passed)
 
@@ -125,7 +125,7 @@ def checks_of(name: Subject, passed: bool | None, *said: Message) -> tuple[Check
 
 
 def skip_test(name: Subject, why: str, axes: Sequence[str] = ()) -> Check:
-    """Return the check of a question that was not tested, or not for some axes, with the reason."""
+    """Check that was not tested, or not for some axes, with reason."""
     return check_of(name, None, Reason.NOT_TESTED, why, {"axes": list(axes)} if axes else None)
 
 
@@ -158,13 +158,13 @@ def assemble(
     widenings: Sequence[Widening] = (),
     diagnosis: Documented | None = None,
 ) -> Estimate:
-    """Return an estimate as it is given back: with its checks, without the values that no record determines.
+    """Add checks to an estimate, and remove undetermined values.
 
     Args:
         fit: the result of the method.
         checks: which replace those of the method on the same questions.
         widenings: of the intervals.
-        diagnosis: of loop, log and residual, axis by axis; None where it was not made.
+        diagnosis: of loop, log and residual, axis by axis; None if it was not made.
     """
     undetermined, rows = {name for one in fit.about(Subject.SCALE) for name in one.values["undetermined"]}, []
     undetermined |= {*fit.known.undetermined} if fit.known else set()
@@ -185,7 +185,7 @@ def assemble(
 
 
 def judged(estimate: Estimate) -> Estimate:
-    """Return an estimate with what its own numbers answer; an answer that it has stands, but on solver and fit."""
+    """Add checks of the estimate's numbers; others than solver and fit stay."""
     given = [one for one in estimate.checks if one.name not in (Subject.SOLVER, Subject.FIT)]
     return replace(estimate, checks=_replace([*_check_numbers(estimate)], given))
 
@@ -222,7 +222,7 @@ def _check_numbers(estimate: Estimate) -> Iterator[Check]:
 
 
 def _check_bounds(estimate: Estimate) -> Check:
-    """Return the check on parameters at a bound, and on axes that their friction would drive."""
+    """Check for parameters at a bound, and axes with driving friction."""
     rows = {row.name: row for row in estimate.rows if row.value is not None}
     driving = []
     for axis in dict.fromkeys(row.axis for row in estimate.rows if row.axis):
@@ -242,7 +242,7 @@ def _check_bounds(estimate: Estimate) -> Check:
 
 
 def residual_checks(white: Whiteness | None, repeats: Repeatable) -> tuple[Check, Check]:
-    """Return the checks on whiteness, None with too few rows, and on the repeatable part of the residual."""
+    """Checks of whiteness (None: too few rows) and of the repeatable residual."""
     coloured = skip_test(Subject.WHITENESS, "too few rows to say")
     if white is not None:
         coloured = check_of(Subject.WHITENESS, white.white, Reason.RESIDUAL_COLOURED, str(white), asdict(white))
@@ -251,17 +251,17 @@ def residual_checks(white: Whiteness | None, repeats: Repeatable) -> tuple[Check
 
 
 def springs_checks(refused: Sequence[str], shown: str = "the record shows every spring") -> tuple[Check, ...]:
-    """Return the checks on springs; `refused` has a sentence for each reason or spring that is not shown."""
+    """Checks of springs; `refused` has a sentence per reason or spring."""
     if not refused:
         return (check_of(Subject.STIFFNESS, True, Reason.PASSED, shown),)
     return checks_of(Subject.STIFFNESS, False, *(Message(Reason.STIFFNESS_NOT_SHOWN, one) for one in refused))
 
 
 def scale_check(known: Sequence[str], lost: Sequence[str] = (), *, identified: bool = False) -> Check:
-    """Return the check on the scale of a torque that is computed from the controller.
+    """Check of the scale of a torque computed from the controller.
 
     Args:
-        known: fixed parameters other than 0, which tell it.
+        known: fixed parameters other than 0, which determine it.
         lost: parameters that the unknown content of an integral leaves without an interval.
         identified: whether the gain is free.
     """
@@ -303,8 +303,8 @@ class Answer:
     Attributes:
         found: the value with its 2-sigma interval, of code "value", "lower_bound" or "not_determined", or "parameters"
             of a robot; values: ``parameter``, ``value``, ``two_sigma``, ``unit``, ``mode_hz`` (free-free) and
-            ``lower_bound``, None where there is none.
-        trust: whether to rely on it, of code `Trust`; values: ``reasons``, the codes of what speaks against it, and
+            ``lower_bound``, None without one.
+        trust: whether to rely on it, of code `Trust`; values: ``reasons``, the codes of the objections, and
             ``parameters``, those that a fault moves out of their intervals.
     """
 
@@ -333,7 +333,7 @@ def answer_of(estimate: Estimate) -> Answer:
 
 
 def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
-    """Return a value with its interval, unit and mode; of a refused one its bound, the softest admissible one."""
+    """Value with interval, unit and mode; for a refused one, its bound."""
     mode, least, code = estimate.frequencies.get("free_free"), None, "value"
     words = f"{in_words(asked.name).capitalize()} {asked} {asked.unit}"
     if asked.value is None:
@@ -353,13 +353,13 @@ def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
 
 
 def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
-    """Return the bounds of a refused stiffness; none where loop or model are not those of the torque they come from."""
+    """Bounds of a refused stiffness; none if loop or model are wrong."""
     wrong = estimate.fit.filtered_error > POOR_FIT or _failed(estimate, Subject.LOOP)
     return () if wrong else estimate.bounds
 
 
 def _count_known(estimate: Estimate) -> Message:
-    """Return the number of known parameters of a robot, and its largest error."""
+    """Number of known parameters of a robot, and its largest error."""
     asked = [row for row in estimate.rows if row.free and row.of_joint]
     known = [row for row in asked if row.value and row.stderr is not None and row.stderr < _KNOWN * abs(row.value)]
     left = estimate.fit.axis_errors
@@ -371,7 +371,7 @@ def _count_known(estimate: Estimate) -> Message:
 
 
 def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
-    """Return the trust in a value; in all values of a robot where none is asked for."""
+    """Trust in a value, or in all values of a robot."""
     loop, springs = estimate.about(Subject.LOOP), _failed(estimate, Subject.STIFFNESS)
     code, against = Trust.NOT_CHECKED, [*_speak_against(estimate, asked)]
     moved = [] if asked is None else _moved_out(estimate)
@@ -403,7 +403,7 @@ def _failed(estimate: Estimate, name: Subject) -> list[Message]:
 
 
 def _name_unchecked(estimate: Estimate) -> str:
-    """Return the conditions of an answer that were not checked; "" if nothing."""
+    """Unchecked conditions of an answer; "" if there are none."""
     loop = estimate.about(Subject.LOOP)
     if estimate.motion_measured or not loop:  # another record has the same bias where the motion was measured
         remedy = "validate it on another record"
@@ -421,10 +421,10 @@ def _name_unchecked(estimate: Estimate) -> str:
 
 
 def _speak_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield the reasons against a value, or against the whole estimate where no value is asked for.
+    """Yield the reasons against a value, or against the whole estimate.
 
-    Where a parameter is held at a bound, or the torque is not explained, others make up for what is wrong with loop and
-    log: how far it moves a value alone says little then.
+    If a parameter is held at a bound, or the torque is not explained, others compensate for faults of loop and log:
+    their effect on one value alone is then no guide.
     """
     loop, name = _failed(estimate, Subject.LOOP), "" if asked is None else asked.name
     held = any(row.of_joint and row.at_bound is not None for row in estimate.rows)
@@ -454,7 +454,7 @@ def _speak_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iter
 
 
 def moved_by_loop(estimate: Estimate) -> dict[str, list[float]]:
-    """Return by how much the correction of each fault of loop and log changes the parameters, by name."""
+    """Changes of parameters by correction of loop and log faults, by name."""
     found = dict[str, list[float]]()
     for one in estimate.about(Subject.LOOP):
         for name, by in one.values.get("changes", {}).items():
@@ -463,9 +463,9 @@ def moved_by_loop(estimate: Estimate) -> dict[str, list[float]]:
 
 
 def _moved_out(estimate: Estimate) -> list[str]:
-    """Return the parameters that a fault of loop or log, or all of them together, moves out of their intervals.
+    """Parameters that faults of loop or log move out of their intervals.
 
-    They leave two standard errors, and by no slight change.
+    They change by more than two standard errors, and by more than a slight share.
     """
     moved = {name: max(map(abs, (sum(by), *by))) for name, by in moved_by_loop(estimate).items()}
     within = {row.name: max(INTERVAL * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0)) for row in estimate.rows}
