@@ -1,6 +1,6 @@
-"""Starts for rigid joints: regressions on a motion that the record implies, without a simulation.
+"""Starts for rigid joints, by regression on an implied motion without simulation.
 
-Of a known controller the motor's motion is what it must have seen to put out the logged torque:
+With a known controller the motor's motion follows from the logged torque:
 ``position = reference - C^-1(torque)`` needs no guess, and as the gain of a controller is large, it is finer than most
 encoders. Or else the motor follows its reference.
 """
@@ -45,7 +45,7 @@ _SLOPE = 20  # samples the initial velocity is first read from: the search corre
 
 
 def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[str, float]]:
-    """Return a start from the inverse of the controller, and one of a regular inertia.
+    """Starts from the inverse of the controller and of regular inertia.
 
     Raises:
         MethodError: there is none.
@@ -70,7 +70,7 @@ def inversion_start(problem: ClosedLoopProblem) -> dict[str, float]:
 
 
 def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
-    """Return a regular inertia, read off the reference as if the axis tracked it perfectly, and no friction."""
+    """Regular inertia from the reference under perfect tracking, and no friction."""
     experiment = problem.axis
     periods = experiment.clock.log_index // experiment.clock.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
@@ -111,7 +111,7 @@ def _regress(
     positions: FloatArray,
     delays: Sequence[float],
 ) -> FloatArray:
-    """Return the parameters by IDIM on guessed motions of the motors, (samples, n), whose ends are left out."""
+    """Parameters by IDIM on guessed motor motions, (samples, n), without their ends."""
     borders = _BORDERS if len(torques) > _SHORT else 0
     filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
     held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
@@ -130,7 +130,7 @@ def _regress(
 
 
 def _turn_round(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
-    """Return the applied torque, (samples,), and the motor position that the controller read."""
+    """Applied torque, (samples,), and the motor position that the controller read."""
     command, axis = command_of(problem), problem.axis
     return command + axis.after_limit[:: axis.clock.skips][: command.size], reconstructed_position(problem)
 
@@ -162,7 +162,7 @@ def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
 
 
 def command_of(problem: ClosedLoopProblem) -> FloatArray:
-    """Return the logged output of the controller, (samples,), without what is added behind its limit.
+    """Logged output of the controller, (samples,), without additions behind its limit.
 
     Raises:
         MethodError: the log does not show each output once at most.
@@ -183,7 +183,7 @@ def command_of(problem: ClosedLoopProblem) -> FloatArray:
 
 
 def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, float]:
-    """Return the initial state of a reconstructed motion: a line through its first usable samples."""
+    """Initial state of a reconstructed motion, from a line through its beginning."""
     law = problem.axis.law
     skip, sample_time = law.order // problem.axis.clock.skips + 1, problem.axis.sample_time
     first = position[skip : skip + _SLOPE]
@@ -195,10 +195,10 @@ def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, f
 
 
 def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Record]) -> FloatArray:
-    """Return the start of a search, (free,): the inverse model on the motion that the controllers saw.
+    """Start of a search, (free,), by inverse model on the controllers' motion.
 
-    Where a controller cannot be turned round, the commanded motion is taken. A start of regular inertias is not tried:
-    M(q) of one may not be positive definite in a pose.
+    If a controller cannot be inverted, the commanded motion is taken. A start of regular inertias is not tried: its
+    M(q) may not be positive definite in a pose.
     """
     log, parameters, failures = problem.log, problem.parameters, list[str]()
     experiment, inverse = log.experiment, inverse_of_robot(loop.robot, problem.parameters)

@@ -1,6 +1,6 @@
-"""The estimate of a joint or a robot back from its JSON: the file has the numbers, the model the equations.
+"""Restore an estimate of a joint or robot from JSON and model.
 
-Of a robot the names and sums of the parameters are computed anew from its geometry, and must be those of the file.
+Names and sums of a robot's parameters are computed from its geometry, and must be those of the file.
 """
 
 import math
@@ -101,7 +101,7 @@ def _share(value: object) -> float:
 def _restore_robot(
     answer: dict[str, Any], system: RobotSystem, robot: Robot, rows: dict[str, EstimatedParameter]
 ) -> IdentifiedRobot:
-    """Return the robot of a document with the geometry of another, which must give the same sums.
+    """Robot of a document with known geometry, which must give equal sums.
 
     Raises:
         RecordError: it is another one, has no controllers where they are needed, or a value is refused.
@@ -149,7 +149,7 @@ def _restore_robot(
 
 
 def _correlation(answer: dict[str, Any], size: int, whole: bool) -> FloatArray:
-    """Return the correlation of the free parameters, or of the joint's alone; empty where it is not known."""
+    """Correlation of the free parameters, or of the joint's; empty if unknown."""
     found: FloatArray = np.array(answer["correlation"], dtype=np.float64)
     if not found.size or np.any(np.isnan(found)):
         return np.zeros((0, 0))

@@ -1,22 +1,22 @@
-"""Search of springs: its starts for a joint and for a robot, and all steps for a flexible joint.
+"""Search of springs: starts of joints and robots, and of flexible joints.
 
 For a joint these are tried, in order:
 
 1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
-2. A grid of flexible joints, a simulation each, on a band as wide as the log. What a drive is known by before anything
-   is identified is its loop: it crosses over where the torque it asks for a deviation is the torque the inertia needs
-   to follow. A mode that mattered to whoever tuned the loop lies not far from there, so the grid of free-free
-   frequencies is measured by the crossover. Half of it is an unstable loop, and the rest has local minima.
+2. A grid of flexible joints, a simulation each, on a band as wide as the log. Before any identification the loop is
+   known: it crosses over where its torque per deviation equals the torque that the inertia needs to follow. A mode
+   that affected the tuning of the loop lies not far from there, so the grid of free-free
+   frequencies is scaled by the crossover. Half of it is an unstable loop, and the rest has local minima.
 3. Rough descents from the best few, at frequencies apart, until two end together.
-4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
-   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
+4. The end with its Coulomb friction divided otherwise. The motor's share of it decides which side stops
+   first at every reversal, so the criterion has minima along it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
    The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
-7. Where 10 % of the torque or more are left, the same from joints of other inertias, shares and modes.
+7. If 10 % of the torque or more are not explained, the same from joints of other inertias, shares and modes.
 
-A robot of rigid joints fixes sums: of both sides' friction, of rotor and link. These are split, what it says of each by
-how well it knows it, and each spring is given a frequency of rotor against link. The rest is the search of
+A robot of rigid joints determines sums: of both sides' friction, of rotor and link. These are split, weighted by their
+accuracy, and each spring is given a frequency of rotor against link. The rest is the search of
 `robots.didim`.
 """
 
@@ -158,7 +158,7 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
 
 
 def _find_motion(problem: ClosedLoopProblem, rough: Solved | None) -> dict[str, float] | None:
-    """Return the state of a motor that may move at the first sample; None of one that rests."""
+    """State of a motor that may initially move; None for rest."""
     if rough is not None and any(p.name == "initial_velocity" for p in rough.problem.free):
         return rough.values
     steps = np.diff(problem.axis.inputs[:, REFERENCE])
@@ -191,14 +191,14 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
 
 
 def rigid_cutoff(record: Record, wanted: float | None = None) -> float:
-    """Return the cut-off, Hz, below which a flexible joint is first identified as rigid, or as is wanted."""
+    """Cut-off, Hz, for identifying a flexible joint as rigid, or as wanted."""
     assert record.torque is not None
     period = record.torque.sample_time
     return max(wanted or _RIGID_CUTOFF / period, _SWINGS / (record.torque.values.size * period))
 
 
 def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
-    """Return the problem of a task with its joint taken for rigid, with linear laws."""
+    """Problem of a task with a rigid joint and linear laws."""
     assert task.loop is not None
     joint = task.loop.joint
     joint = (joint.rigid if isinstance(joint, FlexibleJoint) else joint).linear
@@ -206,7 +206,7 @@ def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
 
 
 def _follow_reference(task: Task) -> dict[str, float]:
-    """Return the values of a rigid joint without friction that follows its reference."""
+    """Values of a rigid joint without friction that follows its reference."""
     problem = _rigid_problem(task, rigid_cutoff(task.record))
     names = [p.name for p in problem.joint.parameters]
     values = regular_start(problem.keeping({name: 0.0 for name in names if name != "inertia"}))
@@ -214,7 +214,7 @@ def _follow_reference(task: Task) -> dict[str, float]:
 
 
 def crossover(law: SampledLaw, inertia: float) -> float:
-    """Return the frequency in Hz up to which the law asks for more torque per position than the inertia takes."""
+    """Crossover, Hz: the highest frequency of loop gain 1 on the inertia."""
     hertz = np.geomspace(1e-5, 0.5, 400) / law.period
     loop_gain = np.abs(law.feedback(hertz)) / (abs(inertia) * (2 * math.pi * hertz) ** 2)
     above = np.flatnonzero(loop_gain >= 1.0)
@@ -222,22 +222,22 @@ def crossover(law: SampledLaw, inertia: float) -> float:
 
 
 def frequencies_to_try(law: SampledLaw, inertia: float, sample_time: float, widely: bool = False) -> list[float]:
-    """Return free-free frequencies in Hz, from below the crossover to where a log cannot follow, slow ones first."""
+    """Free-free frequencies, Hz, from below the crossover to the log's limit, rising."""
     middle, (low, high, ratio) = crossover(law, inertia), _WIDE_MODES if widely else _MODES
     return row_of_frequencies(low * middle, min(high * middle, FASTEST / sample_time), ratio)
 
 
 def row_of_frequencies(low: float, high: float, ratio: float = 1.25) -> list[float]:
-    """Return frequencies, Hz, of which no two neighbours have a larger ratio, slow ones first."""
+    """Rising frequencies, Hz, with at most this ratio between neighbours."""
     count = max(math.ceil(math.log(max(high / low, 1.0)) / math.log(ratio)) + 1, 2)
     return [float(f) for f in np.geomspace(min(low, high), high, count)]
 
 
 def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:
-    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode.
+    """Filter the problem for a mode: default cut-off, or twice the mode.
 
-    What seems to be a mode too fast for the log is none, and no reason to look at more than by default. A cut-off that
-    is asked for stays.
+    A mode too fast for the log is disregarded, and the default holds. A requested cut-off
+    stays.
     """
     if filtering.cutoff:
         return problem
@@ -261,16 +261,16 @@ def search_spring(
     history: History,
     widely: bool = False,
 ) -> Solved:
-    """Return the best flexible joint from a grid of starts, see the module.
+    """Best flexible joint from a grid of starts, see the module.
 
-    Where no filter's cut-off is asked for, it follows the mode: the exploration sees the whole band of the log, a rough
-    descent twice the frequency it starts from; the last descent is on the band of the mode that was found.
+    If no filter's cut-off is requested, it follows the mode: the exploration sees the whole band of the log, a rough
+    descent twice the frequency it starts from; the last descent is on the band of the identified mode.
 
     Args:
         problem: of the joint, under its controller or along the motion of its motor.
         rigid: values of a rigid joint.
         row: free-free frequencies to start from, Hz.
-        filtering: that is asked for.
+        filtering: as requested.
         history: of the search.
         widely: whether other inertias are tried, too: a mode inside the bandwidth makes the rigid joint another one.
 
@@ -309,7 +309,7 @@ def search_spring(
 def _explore(
     problem: ClosedLoopProblem, rigid: Mapping[str, float], row: Sequence[float], history: History, widely: bool
 ) -> list[dict[str, float]]:
-    """Return the best start at each frequency of a row, the best first; of one frequency all starts."""
+    """Best start at each frequency, best first; all starts for one frequency."""
     inertias, shares = (_INERTIAS, _WIDE_SHARES) if widely else ((1.0,), _SHARES)
     each = list(product(row, inertias, shares))
     starts = [start_with_mode(problem, {**rigid, "inertia": n * rigid["inertia"]}, f, share) for f, n, share in each]
@@ -334,20 +334,20 @@ def _explore(
 def start_with_mode(
     problem: ClosedLoopProblem, rigid: Mapping[str, float], frequency: float, share: float
 ) -> dict[str, float]:
-    """Return the start (13) for the free parameters, with the fixed ones as they are."""
+    """Start (13) for the free parameters, with fixed ones as they are."""
     fixed = {p.name: p.start or 0.0 for p in problem.parameters if not p.free or p.name in INITIAL}
     return divide(problem.parameters, rigid, 0.5) | split_by_mode(rigid["inertia"], share, frequency) | fixed
 
 
 def divide(parameters: Sequence[Parameter], rigid: Mapping[str, float], on_motor: float) -> dict[str, float]:
-    """Return values of a flexible joint's parameters from those of a rigid one, frictions divided between the sides.
+    """Divide a rigid joint's values between the sides of a flexible one.
 
-    A speed or a displacement that a friction depends on is that of both sides.
+    Speeds and displacements of friction laws are the same on both sides.
 
     Args:
-        parameters: of the flexible joint, and of what surrounds it.
+        parameters: of the flexible joint, and of its surroundings.
         rigid: values by name.
-        on_motor: share of what both sides have together that is the motor's.
+        on_motor: the motor's share of the sums of both sides.
     """
     values = {}
     for p in parameters:
@@ -366,13 +366,13 @@ def frequency_of(values: Mapping[str, float]) -> float:
 
 
 def _agree(end: tuple[float, float], best: tuple[float, float], size: float) -> bool:
-    """Test whether two ends, cost and frequency, are one; `size` is the norm of the torque."""
+    """Test whether two ends agree in cost and frequency; `size` of torque."""
     (cost, frequency), (least, mode) = end, best
     return abs(frequency - mode) <= _TOGETHER * mode and cost < (1 + _AS_GOOD) * least + _REST * size
 
 
 def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: History) -> FloatArray | None:
-    """Divide an end's Coulomb friction otherwise between motor and load; None where none is better."""
+    """Divide Coulomb friction otherwise between motor and load; None if not better."""
     values, forces = problem.values(x), {p.name for p in problem.free if p.quantity is Quantity.FORCE}
     sides = [(f"motor{name[4:]}", name) for name in forces if name.startswith("load_") and f"motor{name[4:]}" in forces]
     if not sides:
@@ -394,7 +394,7 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
 
 
 def _beside(found: Solved) -> FloatArray:
-    """Return a start beside an end: softer, more damped, with more of the inertia on the load."""
+    """Start near an end: softer, more damped, with a heavier load."""
     values = found.values
     moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
     aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
@@ -421,12 +421,11 @@ class SplitRobot:
 
     @classmethod
     def of(cls, problem: Simulated, rigid: RobotFit) -> SplitRobot:
-        """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
+        """Split a rigid robot: halved friction, rotors as large as possible.
 
-        Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors.
-        Of the rotors that the rigid robot tells apart from their links some it hardly knows, and with these as they are
-        the links' mass matrix may not be positive. So what is taken for granted of the rotors is more and more, until
-        the robot can be simulated on stiff springs.
+        It minimises the squared deviations from the rigid robot's parameters, weighted by their accuracy, and from the
+        wanted rotors. Some rotors are poorly determined, and with them the links' mass matrix may not be positive. So
+        the weight of the wanted rotors increases until the robot can be simulated on stiff springs.
         """
         numbers = problem.parameters.base
         whole = rigid.parameters.numbers(rigid.values)
@@ -470,11 +469,11 @@ class SplitRobot:
 
     @property
     def stiff(self) -> float:
-        """The frequency at which a flexible joint is as good as rigid, Hz."""
+        """Frequency at which a flexible joint is nearly rigid, Hz."""
         return _STIFF / self.problem.sample_time
 
     def values(self, hertz: FloatArray | float) -> FloatArray:
-        """Return all parameters, (parameters,), with springs of these frequencies, (n,) or one for all."""
+        """All parameters, (parameters,), for spring frequencies, (n,) or one for all."""
         values, each = self.split.copy(), np.broadcast_to(hertz, self.reduced.shape)
         for c, place in enumerate(self.problem.parameters.places):
             if place.name in ("stiffness", "damping"):
@@ -482,11 +481,10 @@ class SplitRobot:
         return values
 
     def search(self) -> FloatArray:
-        """Return a frequency for each joint, (n,): of a row that with which its own torque is explained best.
+        """Best frequency for each joint's own torque, (n,), from a row.
 
-        All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
-        what it does to its own, and a run for each joint and frequency would take as many times as long. Of a joint
-        without a spring it is 0.
+        All joints have the same frequency in a run: a joint's spring has little effect on the torques of others, and a
+        run for each joint and frequency would take as many times as long. A joint without a spring has 0.
         """
         problem = self.problem
         row = [f for f in _HERTZ if f < self.stiff]
@@ -517,7 +515,7 @@ class SplitRobot:
 
 
 def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> FloatArray:
-    """Return that of a robot of rigid joints, rotors included, (n, n)."""
+    """Mass matrix of a rigid robot, rotors included, (n, n)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
     still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
@@ -527,7 +525,7 @@ def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> Floa
 
 
 def _stiffen(values: FloatArray, parameters: RobotParameters, rigid: RobotFit) -> FloatArray:
-    """Return the rigid robot's parameters of a flexible one with these values, (free,), and stiff springs."""
+    """Rigid robot's parameters, (free,), from a flexible one with stiff springs."""
     found, base, each = parameters.numbers(parameters.fill(values)), rigid.parameters.base, list[dict[str, float]]()
     for own, like in zip(found.values, base.values, strict=True):
         both = {name: sum(own.get(f"{side}{name}", 0.0) for side in ("", "motor_", "load_")) for name in like}

@@ -336,7 +336,7 @@ class Estimate(Documented):
 
     @property
     def motion_measured(self) -> bool:
-        """True if the measured motion is assumed exact (drive side, IDIM)."""
+        """True if the motion is assumed exact (drive side, IDIM without "iv")."""
         simulates = self.settings.simulates
         return simulates == "motion" or not (simulates or self.fit.simulations)
 

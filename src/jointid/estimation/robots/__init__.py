@@ -1,1 +1,1 @@
-"""Identification of a robot: all joints at once, by the inverse dynamics of the whole."""
+"""Identification of a robot: all joints at once, by its whole dynamics."""

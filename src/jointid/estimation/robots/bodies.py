@@ -1,16 +1,16 @@
-"""The bodies that a robot's estimate stands for: links near those of its model, and what the last link carries.
+"""Bodies of a robot's estimate: links near the model's, and the payload.
 
-**Links.** Base parameters leave open how masses are spread over the links, and noise may give sums that no bodies have:
-a mass matrix that is not positive makes a simulation fall apart. Here every link is ``exp(alpha) U U'`` [Rucker and
-Wensing 2022], a body whatever the numbers, and the least of::
+**Links.** Base parameters do not determine the distribution of masses over the links, and noise may give inconsistent
+sums: a mass matrix that is not positive makes a simulation diverge. Here every link is ``exp(alpha) U U'`` [Rucker and
+Wensing 2022], which is consistent for all numbers, and the least of::
 
     (x(theta) - x)' V^-1 (x(theta) - x)  +  |(theta - theta0) / spread|^2
 
-is taken: x and V are the estimate and its covariance, theta0 the model's own bodies. Where the record says much, it
-decides; where it says nothing, the model stays.
+is taken: x and V are the estimate and its covariance, theta0 the model's own bodies. The record decides the parameters
+that it determines; the others stay at the model.
 
-**A payload**, its mass, centre and inertia, is what makes the estimate without it into the estimate with it, by
-generalised least squares over the sums of inertial parameters that both know, with the covariance of each. Friction is
+**A payload**, its mass, centre and inertia, is the difference of the estimates with and without it, by
+generalised least squares over the sums of inertial parameters in both, with the covariance of each. Friction is
 each estimate's own: it changes as gears warm up.
 """
 
@@ -84,14 +84,14 @@ class ConsistentRobot:
 
 
 def consistent_robot(estimate: Estimate) -> ConsistentRobot:
-    """Return the robot nearest to the model of an estimate whose parameters are the estimate's, as far as bodies can.
+    """Robot with consistent bodies nearest to both model and estimate.
 
     Args:
         estimate: of a robot, by any method.
 
     Raises:
-        MethodError: a link of the model has no mass, so that there is nothing to be near; or the record does not show
-            a spring, so that it does not part its rotor from its link.
+        MethodError: a link of the model has no mass, so that no nearest body exists; or the record does not show
+            a spring, so that it does not separate its rotor from its link.
     """
     from scipy.linalg import block_diag
     from scipy.optimize import least_squares
@@ -117,12 +117,12 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
     spread = _SPREAD * np.concatenate([scales, np.where(unknown, np.inf, np.maximum(rotors, 0.1 * links))])
 
     def bodies_of(x: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """Return the inertial parameters of all links, (n, 10), and their derivatives, (10, 10) each."""
+        """Inertial parameters of all links, (n, 10), and derivatives, (10, 10) each."""
         found, slopes = zip(*map(from_log_cholesky, x[: 10 * n].reshape(n, 10)), strict=True)
         return np.array(found), list(slopes)
 
     def away(x: FloatArray) -> FloatArray:
-        """Return how far the parameters of bodies, rotors and others are from those stated, (parameters,)."""
+        """Difference of the parameters of bodies and others from the estimate, (parameters,)."""
         return np.asarray(weights @ np.concatenate([bodies_of(x)[0].ravel(), x[10 * n :]]) - values)
 
     def residual(x: FloatArray, larger: float) -> FloatArray:
@@ -167,7 +167,7 @@ def require_shown(estimate: Estimate) -> None:
 
 
 def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
-    """Return the mass matrix of links and rotors, (n, n), at a pose, (n,)."""
+    """Mass matrix of links and rotors, (n, n), at a pose, (n,)."""
     n = len(robot)
     pushed = np.eye(n + 1, n)  # by each joint, and by none, where gravity is left
     columns = inverse_columns(robot, np.tile(q, (n + 1, 1)), 0.0 * pushed, pushed)
@@ -176,7 +176,7 @@ def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
 
 
 def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
-    """Return the log-Cholesky parameters of all links, (10 n,), and their natural sizes: 1, or a length."""
+    """Log-Cholesky parameters of all links, (10 n,), and their natural sizes."""
     found, sizes = [], []
     for link in prior.links:
         pseudo = pseudo_inertia(link.inertial)
@@ -200,7 +200,7 @@ def whitening(covariance: Covariance) -> FloatArray:
 
 
 def _positive(std: FloatArray) -> FloatArray:
-    """Return standard errors, that of a fixed parameter as the smallest one."""
+    """Standard errors; a fixed parameter gets the smallest one."""
     return np.where(std > 0, std, np.min(std[std > 0], initial=1.0))
 
 
@@ -225,7 +225,7 @@ class Payload(Documented):
 
     @property
     def properties(self) -> tuple[FloatArray, FloatArray]:
-        """Mass, centre (3) and inertia at the centre (xx, yy, zz, xy, xz, yz), (10,), and their deviations, (10,)."""
+        """Mass, centre and inertia at the centre, (10,), and deviations, (10,)."""
         values = _convert(self.inertial)
         steps = _STEP * np.maximum(np.abs(self.inertial), self.covariance.std)
         slopes = np.array(
@@ -241,11 +241,11 @@ class Payload(Documented):
 
     @property
     def possible(self) -> bool:
-        """True if a body can have the ten parameters as they were found."""
+        """True if a body can have the ten identified parameters."""
         return is_physical(self.inertial)
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Return the mass and the centre first, then each number; there are no further details."""
+        """Mass and centre first, then each number; there are no further details."""
         del details
         lines = [
             (name, interval(float(row["value"]), INTERVAL * float(row["std"])), str(row["unit"]))
@@ -280,7 +280,7 @@ def identify_payload(
     filtering: Filtering | None = None,
     progress: Progress = ignore_progress,
 ) -> Payload:
-    """Identify what the last link carries in the second record and not in the first.
+    """Identify a payload of the last link from records without and with.
 
     Args:
         model: the robot's geometry, gravity and coupling for IDIM; the robot under its controllers, whose gains are the
@@ -310,7 +310,7 @@ def identify_payload(
 
 
 def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
-    """Return the payload that makes one estimate of a robot into the other, by generalised least squares.
+    """Payload as the difference of two robot estimates, by generalised least squares.
 
     Args:
         empty: without the payload.

@@ -1,33 +1,33 @@
-"""The search of a robot's parameters: by DIDIM from torques and references, or on the drive side of its motors.
+"""Search of a robot's parameters, by DIDIM or on the drive side.
 
 The robot is simulated (`problems.simulated`), and the torque error of all joints is made least by steps of Levenberg
 and Marquardt with derivatives by variation. The joints are weighted by their errors, which are estimated anew until
 they settle; the covariance is robust to autocorrelation (`uncertainty.covariance`). Viscous and Coulomb friction are
 not let below 0. Under its controllers the robot is at rest at the first sample, or moving as its references do.
 
-**Rigid joints** begin at what the inverse model finds on a motion that the records imply. Valid for rigid joints, or
+**Rigid joints** begin at the inverse model's estimate on the motion that the records imply. Valid for rigid joints, or
 below about a fifth of the first resonance.
 
 **Flexible joints**, with rotors' inertias and stiffnesses on a logarithmic scale:
 
 1. The robot of rigid joints, split into rotors, springs and links (`spring_search`).
 2. A frequency for each spring, given or the best of a row of them; and a rough descent from there.
-3. Where that leads nowhere: rough descents from one frequency of all springs, and from stiff springs. Of 200 random
-   robots four, split into wrong rotors, looked best on wrong frequencies, and all came down from one frequency of all.
-4. Where no spring can be seen then, the answer is that none is shown. A search for them would go on for minutes along
-   what the record does not tell.
-5. A close descent, and fine ones. A search may leave a wrong minimum after the joint that led it there weighs less.
+3. If that fails: rough descents from one frequency of all springs, and from stiff springs. Of 200 random
+   robots four, split into wrong rotors, were best at wrong frequencies, and all converged from one frequency of all.
+4. If no spring is visible then, the answer is that none is shown. A further search would take minutes along
+   undetermined directions.
+5. A close descent, and fine ones. A search may leave a wrong minimum after the joint that led it there has less weight.
 
-Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
-at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
-the stiffest of the search. Otherwise the stiffness is refused, and ``1 / (c + 2 std)`` is its bound from below. Valid
+Each joint is tested for a visible spring by its compliance c = 1/K, which is 0 for a rigid joint. The spring
+is shown if c is more than four of its standard deviations above 0, with the spring not at the
+stiffest of the search. Otherwise the stiffness is refused, and ``1 / (c + 2 std)`` is its lower bound. Valid
 for springs that are linear and tie each rotor to its own link, and rotors that turn fast against the links: their
 gyroscopic torques are left out [Spong 1987].
 
 **Laws that are not linear**, and free delays of the torques, are searched from the end with linear ones, axis by axis.
-As of one joint (`estimation.descent`) every start of an axis's laws is followed a little, and the best is kept. The
-axes before it have their laws by then, those after it lines. At last all are searched together to the full tolerance.
-Free delays come before the laws: a law is found where torque and motion are in time alone. Where no delay is declared,
+As for one joint (`estimation.descent`) every start of an axis's laws is followed for a few steps, and the best is kept.
+The axes before it have their laws then, those after it lines. Finally all are searched together to the full tolerance.
+Free delays come before the laws: a law is found only if torque and motion are in time. If no delay is declared,
 that search begins at the best rigid robot of several delays.
 """
 
@@ -93,9 +93,9 @@ class SpringVerdict:
 
     Attributes:
         joint: its name.
-        shown: whether they do; else stiffness and deviation are not to be used.
+        shown: whether it is shown; else stiffness and deviation are invalid.
         stiffness: N m/rad or N/m. deviation: of it, one standard deviation.
-        at_least: the stiffness that it has at least, two standard deviations of its compliance away.
+        at_least: lower bound of the stiffness, two standard deviations of its compliance away.
     """
 
     joint: str
@@ -110,16 +110,16 @@ class RobotFit:
     """The fit of a robot to the records of its joints.
 
     Attributes:
-        problem: that was solved, weighted by the joints' filtered errors.
-        x: (free,) what is searched, at the end.
-        runs: there.
-        slopes: (rows, free) of their filtered torques by what is searched, not weighted.
+        problem: solved, weighted by the joints' filtered errors.
+        x: (free,) search variables at the end.
+        runs: simulations at x.
+        slopes: (rows, free) derivatives of their filtered torques by the search variables, not weighted.
         covariance: of the errors of `values`.
         relative_error: (n,) of the filtered torques, a share each.
-        iterations: that were made.
-        converged: whether they settled.
-        springs: a verdict for each flexible joint; of one that is refused, and of its joint's two sides, no interval is
-            to be believed.
+        iterations: their number.
+        converged: whether the search settled.
+        springs: a verdict for each flexible joint; the intervals of a refused one, and of its joint's two sides, are
+            invalid.
     """
 
     problem: Simulated
@@ -149,7 +149,7 @@ class RobotFit:
 
 
 def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
-    """Return the fit at the end of a search, after so many evaluations; for `most` see `_judge_springs`.
+    """Fit at the end of a search; for `most` see `_judge_springs`.
 
     Raises:
         MethodError: the robot cannot be simulated there, or explains none of the torque; or a friction that grows with
@@ -193,15 +193,15 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
 
 
 def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: float) -> tuple[SpringVerdict, ...]:
-    """Return whether the records show the spring of each flexible joint.
+    """Judge whether the records show the spring of each flexible joint.
 
-    They do where a stiffness is off its bound and its deviation, that of the compliance as well, is less than a share.
+    A spring is shown if its stiffness is off its bound and its relative deviation, like the compliance's, is small.
 
     Args:
         problem: of the robot.
-        x: (free,) what is searched, stiffnesses on a logarithmic scale.
+        x: (free,) search variables, stiffnesses on a logarithmic scale.
         std: (free,) its deviations.
-        most: of a stiffness, its share.
+        most: largest relative deviation of a stiffness.
     """
     found = list[SpringVerdict]()
     for parameter, place, value, share in zip(problem.free, problem.keys, x, std, strict=True):
@@ -214,7 +214,7 @@ def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: flo
 
 
 def linearise_again(end: Solved) -> tuple[FloatArray, FloatArray]:
-    """Return the error at an end, (rows,), and the slopes of the torques, (rows, free), not weighted."""
+    """Unweighted error, (rows,), and torque derivatives, (rows, free), at an end."""
     weights = end.problem.weights(end.solution.residual.size)
     return end.solution.residual / weights, -end.solution.jacobian / weights[:, np.newaxis]
 
@@ -228,7 +228,7 @@ def search_robot(
     known: Mapping[str, Parameter] | None = None,
     progress: Progress = ignore_progress,
 ) -> RobotFit:
-    """Identify a robot from torques and references, or along the motion of its motors.
+    """Identify a robot from torques and references, or along its motors' motion.
 
     For the arguments see `robots.simulated.identify_simulated_robot`; records are of one log or several. Of the robot's
     numbers only the links' places and gravity are read. To show a spring the motion must excite its mode, as a
@@ -260,7 +260,7 @@ class _Search:
     def pose(
         self, under: Any, through: Filtering | None, freed: Sequence[int] = (), *, rigid: bool = False
     ) -> Simulated:
-        """Return the problem of a robot with some delays free; of one with springs the log's delay is as stated."""
+        """Problem of a robot with some free delays, and stated log delay."""
         records = self.records
         stated = all(record.torque.stated for log in each_log(records) for record in log if record.torque is not None)
         parameters = robot_parameters(under.robot, offsets=self.how.offsets, logarithmic=True, whole=not self.along)
@@ -269,7 +269,7 @@ class _Search:
         return pose_robot(under, records, parameters, through, delay, stated=stated)
 
     def search(self) -> RobotFit:
-        """Return the fit: of rigid joints or springs with linear laws, then of free delays and other laws."""
+        """Fit rigid joints or springs with linear laws, then delays and laws."""
         robot = self.setup.robot
         if self.along:
             robot.require_linear("The drive side of a robot takes", 'identify the robot by "didim"', springs=True)
@@ -282,7 +282,7 @@ class _Search:
         return self.find_laws(found, near, late) if late or robot.linear.joints != robot.joints else found
 
     def find_near_delay(self, near: RobotLoop, late: tuple[int, ...]) -> tuple[RobotFit, RobotLoop]:
-        """Return the best rigid robot, and its loop, at several delays where one is free and none is declared."""
+        """Best rigid robot and its loop, at several delays if undeclared."""
         undeclared = [j for j in late if not numbers_of(near.controllers[j]).get(DELAY)]
         ends, failures = list[tuple[RobotFit, RobotLoop]](), list[MethodError]()
         for one in DELAYS if undeclared else (0.0,):
@@ -316,7 +316,7 @@ class _Search:
         return _settle(problem, _descend(problem, x, _ROUGH, self.history), self.history)
 
     def find_springs(self, near: Any) -> RobotFit:
-        """Search the flexible robot of the least torque error, from the rigid one below the modes.
+        """Search the flexible robot of least torque error from the rigid one.
 
         Raises:
             MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
@@ -332,7 +332,7 @@ class _Search:
         return found
 
     def find_springs_from(self, problem: Simulated, rough: Simulated, rigid: RobotFit) -> RobotFit:
-        """Search the springs of a robot from a rigid one, roughly at first."""
+        """Search the springs of a robot from a rigid one, roughly first."""
         history, names, given = self.history, self.setup.robot.names, self.how.frequencies
         start = SplitRobot.of(rough, rigid)
         hertz = np.array([given.get(name, 0.0) for name in names]) if given else start.search()
@@ -374,7 +374,7 @@ class _Search:
         return fit
 
     def find_laws(self, linear: RobotFit, near: RobotLoop, late: tuple[int, ...]) -> RobotFit:
-        """Search the free delays, then the laws that are not linear axis by axis, from the fit with linear ones.
+        """Search free delays, then nonlinear laws by axis, from linear ones.
 
         Raises:
             MethodError: an axis cannot be simulated at any start of its laws, or where the search ends.
@@ -435,14 +435,14 @@ def _go_on(
 def _descend(
     problem: Simulated, x: FloatArray, aim: tuple[float, float], history: History, evaluations: float = math.inf
 ) -> Solved:
-    """Descend to a tolerance, or until a step promises too little, in steps that do not reach far."""
+    """Descend to a tolerance or predicted gain, in steps of limited size."""
     (tolerance, worth), limit = aim, int(min(evaluations, history.evaluations))
     reach, exact = problem.parameters.reach(problem.parameters.values(x)), problem.floor / float(np.max(problem.sigma))
     return history.solve(problem, x, LevenbergMarquardt(tolerance, limit, reach, worth, exact))
 
 
 def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
-    """Descend to the full tolerance, with the joints' errors estimated anew until these settle."""
+    """Descend to full tolerance, re-estimating the joints' errors until they settle."""
     for _ in range(_TURNS):
         weighed = replace(problem, sigma=_reweight(end).sigma)
         end = _go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size), history)
@@ -452,13 +452,13 @@ def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
 
 
 def _reweight(end: Solved) -> Simulated:
-    """Return the problem of an end with the sizes of the errors that are left."""
+    """The problem reweighted by the errors at an end."""
     problem: Simulated = end.problem
     return problem.reweight(linearise_again(end)[0], end.x.size)
 
 
 def _leads_on(end: Solved) -> bool:
-    """Whether a descent is on its way, or has ended with little of each joint's torque left."""
+    """Whether a descent still progresses, or leaves little of each joint's torque."""
     trace = end.solution.trace
     if not end.solution.converged:
         return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
@@ -470,7 +470,7 @@ def _leads_on(end: Solved) -> bool:
 
 
 def _require_springs(robot: Robot, frequencies: Mapping[str, float], sample_time: float) -> None:
-    """Refuse a robot without springs, and frequencies, Hz, that are missing or out of range."""
+    """Refuse robots without springs, and frequencies, Hz, missing or out of range."""
     flexible = [joint.name for joint in robot.joints if joint.spring is not None]
     if not flexible:
         raise MethodError(

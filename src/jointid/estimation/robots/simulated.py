@@ -1,7 +1,7 @@
-"""A robot identified by simulating it, by DIDIM or on the drive side, its joints rigid or flexible.
+"""A robot identified by simulation, by DIDIM or on the drive side.
 
-Beside it stands the nominal robot: the masses, rotors and springs of model and robot file, with the friction that was
-found.
+The nominal robot serves for comparison: masses, rotors and springs of model and robot file, with the identified
+friction.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,13 +39,13 @@ _WITHOUT = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedRobot:
-    """A robot as it was identified: what simulates it.
+    """An identified robot, for simulation.
 
     Attributes:
         setup: the nominal robot at the start of the identification: alone, under its controllers, or along the
             motion of its motors. To IDIM all of its joints are rigid.
         parameters: of the search.
-        values: (parameters,) in the order of `names`, in SI units; that of a refused parameter is not to be used.
+        values: (parameters,) in the order of `names`, in SI units; that of a refused parameter is invalid.
     """
 
     setup: Robot | RobotLoop | RobotDriveSide
@@ -68,11 +68,11 @@ class IdentifiedRobot:
         return hasattr(self.setup, "controllers")
 
     def numbers(self) -> Numbers:
-        """Return the robot that was identified, as it is simulated."""
+        """Numbers of the identified robot, for simulation."""
         return self.parameters.numbers(self.values)
 
     def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the columns of the motors' torques in a motion without deflection, (samples, n, parameters).
+        """Columns of motor torques without deflection, (samples, n, parameters).
 
         Args:
             q: (samples, n) positions of the joints, rad or m.
@@ -86,9 +86,9 @@ class IdentifiedRobot:
         return self.parameters.columns(self.model, q, v, a, self.numbers())
 
     def robot(self) -> Robot:
-        """Return the robot that was identified, for a simulation: the same torques.
+        """The identified robot, for simulations with the same torques.
 
-        What is grouped stands in the parameter that is kept, so that its links need not be bodies.
+        Grouped parameters are in the one that is kept, so that its links need not be bodies.
 
         Raises:
             MethodError: a rotor's inertia, with what is grouped with it, was found negative.
@@ -96,7 +96,7 @@ class IdentifiedRobot:
         return robot_with(self.model, self.numbers())
 
     def parameters_of(self, robot: Robot) -> FloatArray | None:
-        """Return the same parameters of a known robot; None where it has others."""
+        """The same parameters of a known robot; None if it has others."""
         if robot.flexible != self.model.flexible:
             return None
         return self.parameters.group(Numbers.of(robot))
@@ -106,15 +106,15 @@ def identify_simulated_robot(
     method: Method, model: RobotLoop | RobotDriveSide, logs: Sequence[Sequence[Record]], filtering: Filtering,
     known: Mapping[str, Parameter], progress: Progress,
 ) -> Estimate:  # fmt: skip
-    """Identify a robot by DIDIM, or on the drive side, and state its parameters beside those of `model`.
+    """Identify a robot by DIDIM or drive side, beside `model`'s nominal values.
 
     Args:
         method: DIDIM or the drive side, with its settings.
         model: the robot under its controllers, or along the motion of its motors, with its nominal numbers.
         logs: of each joint a record: with torque and reference, positions are not read; or with torque and motor
             position behind the gear, references are not read.
-        filtering: that torques, columns and derivatives go through alike, its cut-off above the modes; of measured
-            positions the cut-off is five times that.
+        filtering: of torques, columns and derivatives, with a cut-off above the modes; measured positions have five
+            times that cut-off.
         known: values and bounds to keep, by name; see `apply_constraints`.
         progress: receives the steps.
 
@@ -166,9 +166,9 @@ def rows_of_robot(
     held: Mapping[str, float],
     hidden: Sequence[SpringVerdict] = (),
 ) -> tuple[EstimatedParameter, ...]:
-    """Return the rows of the parameters; of a spring that is hidden, a bound at most.
+    """Rows of the parameters; a hidden spring has at most a bound.
 
-    Standard deviations are (parameters,); `held` has the bounds of those at one, by name. Nominal values are declared.
+    Standard deviations are (parameters,); `held` has the active bounds by name. Nominal values are declared.
     """
     refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
     refused |= {f"{one.joint}.damping": None for one in hidden}
@@ -187,9 +187,9 @@ def rows_of_robot(
 
 
 def nominal_numbers(robot: Robot, found: Numbers) -> Numbers:
-    """Return the nominal robot with the friction that was found: one without friction is no opponent.
+    """The nominal robot with the identified friction, for a fair comparison.
 
-    The delays of log and torques are not the robot's, and are as they were found, too.
+    The delays of log and torques are not the robot's, and keep their identified values, too.
     """
     numbers = Numbers.of(robot)
     values = []
@@ -200,7 +200,7 @@ def nominal_numbers(robot: Robot, found: Numbers) -> Numbers:
 
 
 def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Filtering | None) -> RobotFit:
-    """Return the fit of an identified robot to the records that it was identified from, without a search.
+    """Fit of an identified robot to its own records, without a search.
 
     Raises:
         RecordError, MethodError: as of the identification; or the robot cannot be simulated.
