@@ -1,4 +1,4 @@
-"""Fit of one law: gains by linear least squares, its other numbers by a search (variable projection).
+"""Fit of one law: linear least squares, and a search (variable projection).
 
 With e = r - q, the filtered difference v = F D q, F the velocity's filter and S a sum over time, the torque of every
 law of `structures` is::

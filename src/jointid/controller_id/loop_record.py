@@ -1,4 +1,4 @@
-"""Controller inputs and output from a record, and prediction of a law's torque."""
+"""Controller inputs and output from a record, and law torque prediction."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _TOP = 6.0  # deviations of the log's noise within which a torque is at the top
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopRecord:
-    """Inputs and output of the controller, prepared from a stretch of a record.
+    """Inputs and output of the controller, prepared from part of a record.
 
     Attributes:
         record: with torque, reference and motor position.

@@ -178,7 +178,7 @@ def band_power(signal: FloatArray) -> FloatArray:
 
 
 def band_widths(size: int) -> NDArray[np.intp]:
-    """Number of frequencies per band of a real transform, from its second on."""
+    """Number of frequencies per band of a real transform, without the first."""
     return np.asarray(np.diff(np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))), dtype=np.intp)
 
 
@@ -258,6 +258,6 @@ def _difference(signal: FloatArray) -> FloatArray:
 
 
 def _lagged_columns(signal: FloatArray, samples: int) -> NDArray[np.float64]:
-    """A signal and its past, (samples of it, samples + 1), from its first value."""
+    """A signal and its past, (its samples, samples + 1), initially constant."""
     led = np.concatenate([np.full(samples, signal[0]), signal])
     return np.lib.stride_tricks.sliding_window_view(led, samples + 1)

@@ -42,7 +42,7 @@ _ROTORS = (0.0, 0.25, 0.5, 0.75)  # shares of a joint's own inertia that its rot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisTorques:
-    """Torques of all axes, filtered and decimated, on an estimate's own record or another one.
+    """Filtered and decimated torques of all axes, for an estimate and record.
 
     Attributes:
         time: (rows,) instants of the rows, by the log's own clock [s].

@@ -8,9 +8,9 @@ gear's ratio or its square the wrong side of the gear.
 To add one, write its correction, its text and its row.
 
 Laws that a drive may run instead of the declared one, with the same settings, are rows, too. An integral sums the
-errors of earlier periods, or also that of the present one; manuals seldom say which. With the present one a PI of 1 kHz
+errors of earlier periods, or also that of the present one; manuals seldom state it. With the present one a PI of 1 kHz
 and 20 ms is 5 % stiffer, and a stiffness that is identified under the other law is wrong by 6 % without a worse fit. A
-law whose velocity comes from a sensor or an observer is the same half a period earlier.
+law with the velocity of a sensor or an observer reads the same velocity half a period earlier.
 
 Without a declared period that of the log is used. A faster drive reacts earlier, by up to half a sample of the log, and
 the identified joint is another one. A drive that is faster than its reference holds it, draws lines through it, or
@@ -57,7 +57,7 @@ _IS_ABOUT = "{name} is about {shown}, not {declared}"
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """A mistake that explains a record, of a joint or of a robot.
+    """A mistake that explains the record of a joint or a robot.
 
     Attributes:
         name: its code.
@@ -137,7 +137,7 @@ class Case:
         return replace(self, loop=replace(self.loop, controller=law))
 
     def at(self, name: str, starts: Iterable[float]) -> Case:
-        """Return the case with a number of the controller free, and its starts."""
+        """The case with a number of the controller free, and its starts."""
         return replace(self, free=name, starts=tuple(starts))
 
     def logging(self, **channels: FloatArray) -> Case:

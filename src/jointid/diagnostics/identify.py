@@ -3,8 +3,8 @@
 What the record does not exclude widens the intervals: undeclared elements of the loop, and faults that were found or
 are suspected. An element is a filter of velocity or torque, or a delay. One of size s changes the torque by ``s c``. An
 estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The record bounds s: the score test
-of c beside J gives it with its deviation. The interval holds the shift by the largest s, between 0 and what is usual,
-that is within two deviations.
+of c beside J gives it with its deviation. The interval holds the shift by the largest s within two deviations, between
+0 and the usual size.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def identify(
             joint without anything added. Of a robot values and bounds of friction, as "joint1.viscous".
         several: how several records of one joint belong together. "added_inertia": for each record the known inertia
             added to the load, kg or kg m2. "own": for each record names of parameters of its own, as of friction that a
-            load changes. "free": names of what surrounds the joint and is identified too: "drive_gain", which needs an
+            load changes. "free": names of identified numbers around the joint: "drive_gain", which needs an
             added inertia, "position_gain", "log_delay", ...
         windows: seconds of the windows of a log. With it a joint's record in memory is identified in windows, too, by
             DIDIM. One that may take too much memory at once is identified in windows without it, of which one is

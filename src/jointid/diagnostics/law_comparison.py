@@ -1,7 +1,7 @@
 """Cross-validation of spring and friction laws on held-out parts of a record.
 
-A law with more parameters always has the smaller error where it was fitted; elsewhere only if the record shows what it
-adds. So the record is cut into consecutive parts, and every third of them is held out, in turn: the fit to the whole
+A law with more parameters always has the smaller error on the fitted data; on other data only if its terms are real.
+So the record is cut into consecutive parts, and every third of them is held out, in turn: the fit to the whole
 record moves by one Gauss-Newton step to that of the other rows. Each law is compared with the one that predicts the
 held-out parts best, by the mean logarithm of the ratio of their squared errors in each part: few parts with much motion
 hold most of the squares. Among the laws whose mean is at most three standard errors above 0, or whose error is

@@ -1,11 +1,11 @@
 """Tests of a record without a model of its joint.
 
 The samples show too little motion, missing samples, a drive that is off. A record that is too short, or moves in one
-direction only, fits many drives: Coulomb friction and offset are one number then.
+direction only, fits many drives: Coulomb friction and offset are then inseparable.
 
 `compare_law` compares the logged torque with the torque of the declared controller for the logged motor position. So
-law, delay and the gain of the log are tested before a joint is identified. Where the law makes the logged torque,
-`excludes` excludes other laws and logs, whatever the joint is.
+law, delay and the gain of the log are tested before a joint is identified. If the law reproduces the logged torque,
+`excludes` excludes other laws and logs, for any joint.
 
 `find_unexplained_share` fits free linear responses. A linear loop answers its reference linearly, and Coulomb friction
 is one more input of it, the sign of the velocity. So the torque is fitted by responses, as long as a loop remembers, to

@@ -1,4 +1,4 @@
-"""Score test of each fault alone, beside the parameters of a solved problem.
+"""Score test of each single fault, beside a solved problem's parameters.
 
 The signature of a fault is one column: the change of the filtered torque per unit of its size, at fixed parameters of
 the joint. With J the sensitivities of the free parameters and c the column of a fault, the residual e of the problem is

@@ -4,13 +4,13 @@ Each fault is tested alone, the likeliest is corrected, and the tests are repeat
 named beside the first. If the likeliest is impossible, something else is wrong.
 
 A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
-law makes the logged torque of a logged motor position, faults of law and log that it excludes are not named.
+law reproduces the logged torque from a logged motor position, faults of law and log that it excludes are not named.
 
-Each other law of the drive is screened first: one simulation under it at the same joint shows what it changes. Two laws
+Each other law of the drive is screened first by one simulation under it with the same joint. Two laws
 are distinguished by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again under the
 other law, and the residual is regressed on the change of the fit. The coefficient is 0 under the declared law and 1
 under the other one. A record may exclude neither. So all laws that it allows are compared, and the likeliest is chosen;
-of equals the plainest. One that moves a parameter out of its interval without being excluded is undecided.
+of equals the simplest. One that moves a parameter out of its interval without being excluded is undecided.
 
 Of a robot each fault adds a column to the torque of one axis, or of all of them. A wrong scale or a delay of one log
 shows by the other joints, which share the inertias of the links. So the rows of all joints are regressed together, each

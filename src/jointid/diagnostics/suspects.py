@@ -46,7 +46,7 @@ VISCOUS, COULOMB = 1.0, 0.0
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Fault of the loop, the log or the mechanics: one row of one table, for joint and robot.
+    """Fault of loop, log or mechanics: one row of a common table.
 
     Attributes:
         name: its code.
@@ -111,10 +111,10 @@ class FaultTest:
     """Test of one fault.
 
     Attributes:
-        fault: that is tested.
+        fault: tested.
         alike: faults that no record of this loop can distinguish from it.
-        declared: value; 0 for what is not declared at all.
-        size: value less the declared one; of a limit, the observed share of what it cuts off.
+        declared: value; 0 for an undeclared one.
+        size: value less the declared one; of a limit, the observed share of its cut.
         std: standard deviation of the size, autocorrelation-robust.
         p_value: adjusted for all tests of the record together.
         shape: the level of a limit in the torque's unit, or a Stribeck speed.

@@ -119,7 +119,7 @@ def free_more(solved: Solved, names: tuple[str, ...], history: History) -> Solve
     """Continue least squares with more surroundings of the joint free, see `surrounding`.
 
     Raises:
-        MethodError: nothing around the joint has such a name, or one record cannot tell it.
+        MethodError: nothing around the joint has such a name, or one record does not determine it.
     """
     if "drive_gain" in names:
         raise MethodError(

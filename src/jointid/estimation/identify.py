@@ -234,7 +234,7 @@ def identify_record(
 
 
 def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
-    """Refuse a method that does not fit the joint or lacks its controller."""
+    """Refuse a method unsuitable for the joint or without its controller."""
     simulates_loop = _simulates_loop(method)
     if simulates_loop and loop is None:
         raise MethodError(

@@ -1,21 +1,21 @@
 """Search parameters: those of a robot, and of a joint's surroundings.
 
-What surrounds a joint may be as unknown as the joint itself: its first state, its loop, its log. A problem
-keeps these at what the record and the joint file say, unless they are made free (`surrounding`). Each is a `Parameter`
-that stands beside those of the joint:
+The surroundings of a joint may be as unknown as the joint itself: its first state, its loop, its log. A problem
+fixes these at the values of the record and the joint file, unless they are made free (`surrounding`). Each is a
+further `Parameter`:
 
 - ``initial_position``, ``initial_velocity`` of the motor at the first sample;
-- ``initial_torque`` there of a controller with an integral, which holds what friction and gravity ask for;
+- ``initial_torque`` there of a controller with an integral, which carries friction and gravity;
 - any number of the controller, by its own name: ``position_gain``, ``velocity_gain``, ``derivative_gain``,
   ``delay``, ``limit``, and those of its filters, as ``velocity_filter.time_constant`` or
   ``torque_filters.0.frequency``;
-- ``log_gain``: the torque in the log, over the torque the law put out: log and law disagree;
-- ``log_delay``: how much later than its stamps the torque channel shows the torque.
+- ``log_gain``: the torque in the log, over the output of the law;
+- ``log_delay``: delay of the torque channel behind its stamps.
 
-Of the ten numbers of a robot's link some act on no torque, and others only together. A numerical QR decomposition of
+Of the ten numbers of a robot's link some affect no torque, and others only in sums. A numerical QR decomposition of
 the equations at random motions keeps each column that the ones before it do not span [M. Gautier: Numerical calculation
-of the base inertial parameters of robots, Journal of Robotic Systems 8, 1991]; what is not kept is grouped with what
-is, and set to 0: the torques are the same. Friction, springs and rotors come first, so that these are kept. The rotor
+of the base inertial parameters of robots, Journal of Robotic Systems 8, 1991]; the others are grouped with kept ones,
+and set to 0: the torques are the same. Friction, springs and rotors come first, so that these are kept. The rotor
 of a rigid joint is then grouped with its link, that of a flexible one stands alone [Spong 1987].
 """
 
@@ -100,7 +100,7 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
         period: of the controller, s; without it frequencies and delays have no upper bound.
 
     Raises:
-        MethodError: nothing around a joint has that name; the sentence says what has one.
+        MethodError: nothing around a joint has that name; the sentence lists the names.
     """
     if name in _BESIDE_LAW:
         return replace(_BESIDE_LAW[name], free=True)

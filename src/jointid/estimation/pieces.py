@@ -85,7 +85,7 @@ class Layout(NamedTuple):
         loops: the joint, of one model, under the controller of each.
         added: inertia that is known to come on top of the joint's, kg or kg m2.
         own: names of the parameters that the others do not share.
-        free: names of what surrounds the joint and is identified too.
+        free: names of identified numbers around the joint.
     """
 
     loops: tuple[ClosedLoop, ...]
@@ -294,7 +294,7 @@ def identify_records(
     """Fit one joint to several records; see `jointid.identify`.
 
     Raises:
-        MethodError: no record tells a parameter, or nothing tells the drive's gain.
+        MethodError: no record determines a parameter, or nothing determines the drive's gain.
     """
     fits = list[Estimate]()
     for k, (record, loop) in enumerate(zip(records, layout.loops, strict=True)):
@@ -345,7 +345,7 @@ def fill_starts(each: Sequence[Mapping[str, float]], names: Sequence[str]) -> li
     """Start values of each record; missing ones are taken from other records.
 
     Raises:
-        MethodError: no record tells one of these names.
+        MethodError: no record determines one of these names.
     """
     anywhere = {name: value for values in reversed(each) for name, value in values.items()}
     if lost := [name for name in names if name not in anywhere]:
@@ -516,8 +516,8 @@ def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0
 def settling(like: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
     """Return how many samples a window takes to forget how it began.
 
-    A beginning that is off by the window's whole torque and speed, as no window's is, must show in no later sample of
-    the torque by more than a hundredth; the filter looks at what lies beside a window.
+    A beginning with an error of the window's whole torque and speed, larger than in any window, must affect no later
+    sample of the torque by more than a hundredth, filter included.
     """
     other = begin_window(like, record, disturbed=1.0)
     apart = np.abs(like.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(like.measured))
@@ -555,7 +555,7 @@ class Pass:
         """Covariance: the larger of leaving out windows and leaving out places.
 
         Raises:
-            MethodError: one window says nothing of how windows differ.
+            MethodError: one window does not determine the scatter of windows.
         """
         if len(self.windows) < 2:
             raise MethodError(

@@ -138,7 +138,7 @@ def _turn_round(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
 def reconstructed_position(problem: ClosedLoopProblem) -> FloatArray:
     """Return the motor position by the inverse of the controller, (samples,).
 
-    The law's memory of what was before the record is a guess, so the first samples, one more than the law has states,
+    The law's memory of the time before the record is a guess, so the first samples, one more than the law has states,
     are not to be used.
 
     Raises:

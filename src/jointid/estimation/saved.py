@@ -94,7 +94,7 @@ def _read_agreement(stated: Any) -> Agreement | None:
 
 
 def _share(value: object) -> float:
-    """Return an error; infinite where it is not known."""
+    """Return an error; infinite if unknown."""
     return math.inf if value is None else finite(value)
 
 

@@ -64,7 +64,7 @@ _TWO_WAYS = tuple(
 
 
 class MotionSize(NamedTuple):
-    """Size of the motion in a record, for starting values of a friction law.
+    """Size of a record's motion, for starting values of a friction law.
 
     Attributes:
         speed: the largest, m/s or rad/s.
@@ -151,8 +151,8 @@ class Friction:
     - "drifting": ``(Fv + dFv t) v + (Fc + dFc t) sign(v)``, as oil grows warm. The time counts from the first sample. A
       change that goes on for much longer than a record is nearly steady in it.
     - "load-dependent": ``Fc + mu |T|`` takes Fc's place. Of a flexible joint T is the torque of spring and damper, and
-      the friction is the load's. Of a rigid one T is the motor's torque, since no motion tells its rotor from what the
-      gear drives. A gear that drives passes on ``1 - mu`` of the torque, one that brakes takes ``1 + mu`` of it (P.
+      the friction is the load's. Of a rigid one T is the motor's torque, since no motion distinguishes its rotor from
+      the load. A gear that drives passes on ``1 - mu`` of the torque, one that brakes takes ``1 + mu`` of it (P.
       Hamon, M. Gautier and P. Garrec: Dynamic identification of robots with a dry friction model depending on load and
       velocity, IROS 2010). Valid where the share is well below 1.
 

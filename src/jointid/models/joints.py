@@ -207,7 +207,7 @@ class RigidJoint(_JointBase):
         friction: the law; beside one with a Coulomb force for each direction the offset is fixed at 0.
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
-        gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
+        gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
         ripple: a force that is periodic in the position, with a known period.
     """
 
@@ -227,7 +227,7 @@ class RigidJoint(_JointBase):
 
 @dataclass(frozen=True, slots=True)
 class FlexibleJoint(_JointBase):
-    """A motor and a load inertia, each with friction, joined by a spring and a damper.
+    """Motor and load inertia with friction, joined by spring and damper.
 
     Attributes:
         kind: "prismatic" (m, N) or "revolute" (rad, N m).

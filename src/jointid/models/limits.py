@@ -17,7 +17,7 @@ _SLACK = 1e-9  # relative: what rounding passes a limit by
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """Limits of one axis in a test, on the joint's side; None is unlimited.
+    """Joint-side limits of one axis in a test; None is unlimited.
 
     A torque is in A or V where the joint is identified per ampere or volt.
 

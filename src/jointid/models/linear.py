@@ -37,7 +37,7 @@ OUTPUTS: tuple[Output, ...] = ("motor_position", "motor_velocity", "load_positio
 def drive_matrices(
     inertia: Sequence[float], viscous: Sequence[float], springs: Sequence[tuple[float, float]], rate: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return A, (states, states), and B, (states,), of ``x' = A x + B tau`` (the module's equation).
+    """Matrices A, (states, states), and B, (states,), of the module's equation.
 
     Args:
         inertia: of the motor, of the load of a flexible joint, and of the swinging part of an elastic load.

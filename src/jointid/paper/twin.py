@@ -1,4 +1,4 @@
-"""Digital twin of the paper's flexible axis, the EMPS positioning unit of Table 2.
+"""Digital twin of the paper's flexible axis, the EMPS of Table 2.
 
 The paper gives the parameters (Tables 2 and 4), the kind of motion (trapezoidal velocity with pulses), the encoder
 (100,000 counts) and the remaining error (8 %). Other choices are marked "ours":

@@ -90,7 +90,7 @@ def design(
     Raises:
         MethodError: a limit is missing, the test is too short, the goal is no quantity of this joint, a robot with
             springs has no controllers, a setting is not read, or no test could be simulated.
-        RecordError: the record lacks what the controller reads.
+        RecordError: the record lacks a channel that the controller reads.
 
     Example:
         >>> import jointid as ji

@@ -86,7 +86,7 @@ class DesignedAxis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design(Documented):
-    """A proposed test of a joint or a robot, and its predicted intervals.
+    """A proposed test of a joint or robot, and its predicted intervals.
 
     Attributes:
         goal: parameters that the test determines.

@@ -167,7 +167,7 @@ class JointModel:
 
         Raises:
             MethodError: the loop cannot be simulated.
-            RecordError: the test lacks what the controller reads.
+            RecordError: the test lacks a channel that the controller reads.
         """
         problem, noise = self._pose(test[0]), self.disturbance
         free, reference = problem.free_joint, test[0].reference

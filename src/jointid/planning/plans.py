@@ -104,8 +104,8 @@ class Family:
         room: their ranges, all stated, the stroke from `lower` on; None only of a jerk that is not limited.
         highest: frequency of sines, Hz.
         mode: about where the joint's resonance is, Hz; of a rigid one half of the highest.
-        lines: frequencies, Hz, of sines that would tell most of a joint without friction, and their amplitudes, the
-            largest 1; none where that is not known.
+        lines: frequencies, Hz, of the most informative sines for a joint without friction, and their amplitudes, the
+            largest 1; empty if unknown.
     """
 
     motion: str

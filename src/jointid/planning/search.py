@@ -54,7 +54,7 @@ class Tried:
         plan: None of a test that is given as records.
         score: of the goal, the smaller the better, see `Goal.score`.
         reached: of each axis the largest of each quantity, by name.
-        over: by how much the limit that is passed farthest is passed, at most 1 where none is.
+        over: largest factor by which a limit is exceeded, at most 1 if none is.
         stds: (parameters,) standard deviations at each joint or robot, the known one first.
     """
 

@@ -89,7 +89,7 @@ def seen_position(record: Record, loop: ClosedLoop) -> SeenPosition | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenPosition:
-    """The map from a motor position to a torque: the declared law without limits.
+    """Map from motor position to torque: the declared law without limits.
 
     Attributes:
         axis: input of the record under the declared law, from `prepare`.

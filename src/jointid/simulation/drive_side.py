@@ -71,7 +71,7 @@ class RobotDriveSide:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrescribedMotion:
-    """The motion of motors at the edges of the parts of its samples.
+    """Motion of motors at the edges of their samples' parts.
 
     Attributes:
         tree: of the links; None of a joint.

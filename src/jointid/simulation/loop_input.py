@@ -174,7 +174,7 @@ class AxisInput:
 
     @property
     def shown(self) -> FloatArray:
-        """The part of the logged torque beside the controller's output, (periods,)."""
+        """Part of the logged torque in addition to the controller's output, (periods,)."""
         return self.after_limit if self.tap is Tap.MEASURED else self.logged
 
     @property
@@ -425,7 +425,7 @@ def to_log(axis: AxisInput, signal: FloatArray) -> FloatArray:
 
 
 def acting(axis: AxisInput, signal: FloatArray) -> FloatArray:
-    """Signal at the tap in each part of each period, parts in a row."""
+    """Signal at the tap in each part of each period, flattened."""
     return np.take(signal, _sources(axis, len(signal)), axis=0)
 
 
@@ -436,7 +436,7 @@ def _sources(axis: AxisInput, periods: int) -> NDArray[np.int64]:
 
 
 def averages(axis: AxisInput, integrals: FloatArray) -> FloatArray:
-    """Mean over each sample time up to a log instant, from integrals over parts."""
+    """Mean over each sample time before a log instant, from partial integrals."""
     integral, log_index = np.zeros((len(integrals) + 1, *integrals.shape[1:])), axis.clock.log_index
     np.cumsum(integrals, axis=0, out=integral[1:])
     means = np.zeros((log_index.size, *integrals.shape[1:]))

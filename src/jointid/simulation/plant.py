@@ -220,7 +220,7 @@ class Numbers:
         return True
 
     def carrying(self, payload: Sequence[float]) -> Numbers:
-        """Return the robot with a payload on its last link, (10,); or ()."""
+        """The robot with a payload on its last link, (10,); or ()."""
         if not payload:
             return self
         inertials = self.inertials.copy()

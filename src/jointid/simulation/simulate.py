@@ -155,7 +155,7 @@ def run_loop(
         steps: of a robot's integrator per part of a step of the clock; None for as many as keep the fastest motion
             within a stride.
         stride: rad.
-        room: memory for what is kept.
+        room: memory for the tape.
     """
     carried = numbers.carrying(experiment.payload)
     plant, taken, outcome = carried.plant, steps or 0, Outcome.INVALID

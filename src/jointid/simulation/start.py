@@ -32,7 +32,7 @@ _SMALL = 1e-5  # of a number, a position or a speed: differences of what balance
 
 @dataclass(frozen=True, slots=True)
 class Initial:
-    """Motor position and velocity at the first sample; None: on the reference, at rest.
+    """Initial motor position and velocity; None: on the reference, at rest.
 
     `torque` is the output of an integral there; None: its content is 0.
     """

@@ -36,7 +36,7 @@ class Problem(Protocol):
         """Identified parameters with bounds, in the order of vectors and columns."""
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual, (rows,), and derivatives, (rows, free); large and finite, and 0, where simulation fails."""
+        """Residual, (rows,), and derivatives, (rows, free); large and 0 on failure."""
 
 
 class Status(Enum):
@@ -224,7 +224,7 @@ def _gain(norm: float, after: FloatArray, *slopes: FloatArray) -> float:
 def damped_step(
     error: FloatArray, J: FloatArray, room: Bounds, damping: float = 0.0, widths: FloatArray | float = math.inf
 ) -> FloatArray:
-    """Minimise ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the column norms.
+    """Minimise ``||e + J s||^2 + damping ||D s||^2`` within bounds.
 
     Args:
         error: (rows,).
@@ -252,7 +252,7 @@ _RANK = 1e-10  # of the largest: a normalised singular value below this is a par
 
 
 def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    """Solve ``Y = W x`` by QR with column scaling; return x, (parameters,).
+    """Solve ``Y = W x`` by QR with column scaling; x, (parameters,).
 
     Args:
         W: (rows, parameters).

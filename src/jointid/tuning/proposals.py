@@ -59,7 +59,7 @@ TunableController: TypeAlias = Cascade | PD  # a PID is a PD, too
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """Settings of `tune`: what the proposed loop keeps in the worst case."""
+    """Settings of `tune`: requirements of the proposed loop in the worst case."""
 
     gain_margin: float = setting(2.0, "ratio by which the loop's gain may still grow, or fall; 2 is 6 dB", at_least=1)
     phase_margin: float = setting(45.0, "angle by which the loop may still turn", unit="deg", at_least=0, at_most=89)
@@ -236,7 +236,7 @@ def list_feedforward(estimate: Estimate, controller: Any) -> tuple[Gain, ...]:
 
 
 def list_gains(estimate: Estimate, before: Any, layout: Layout) -> tuple[Gain, ...]:
-    """Return the gains of a designed loop beside those there are."""
+    """Gains of a designed loop, and the present ones."""
     after, position = layout.controller, POSITION_UNIT[estimate.settings.joint.kind]
     slow, old, new = "w" if after.nested else "kd w", numbers_of(before), numbers_of(after)
     _, velocity, *integral = after.gains

@@ -144,7 +144,7 @@ def larger(first: Covariance, second: Covariance) -> Covariance:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """Equations ``Z' e = 0`` of an estimate, and its covariances from their residual.
+    """Equations ``Z' e = 0`` of an estimate, and covariances from residuals.
 
     Attributes:
         J: (rows, parameters), the sensitivities of the prediction, or of the residual with Z of the same sign.

@@ -92,7 +92,7 @@ class Identifiability:
         physical: sums of both sides.
         limitations: parameters that are known only together, and positive ones whose 2-sigma interval holds 0; empty
             for a good record.
-        undetermined: names of parameters of which the record determines only combinations with others.
+        undetermined: names of parameters that the record determines only in combinations with others.
     """
 
     physical: tuple[Known, ...]

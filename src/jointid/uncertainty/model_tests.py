@@ -11,7 +11,7 @@ This is the Ljung-Box test for unequal variances (Diebold 1986; Lobato, Nankervi
 **Flexible against rigid.** The compliance of a rigid joint, 0, lies on a boundary, and load share and damping are
 undefined there, so the usual quantiles of the likelihood-ratio test do not hold. Their distribution is simulated. About
 the rigid fit the residual is ``r + J a + E b, b >= 0``, with J its derivatives by the rigid parameters and E by the
-extra one at the boundary (the compliance at a load share, say). The statistic is the reduction of the sum of squares
+extra one at the boundary (such as the compliance at a load share). The statistic is the reduction of the sum of squares
 over the variance of the remainder, for the best of several E if the share is unknown. The draws turn the signs of
 blocks of the larger model's residual (wild bootstrap, Liu 1988), over time and over stretches of the motion; the larger
 p-value counts, so that repeatable errors are not taken for a spring. E should have the whole friction on the motor's
@@ -22,7 +22,7 @@ error separates them, and so do columns that are correlated with the error. The 
 
     d = (Z' J)^-1 Z' e = ((Z' J)^-1 Z' - (J' J)^-1 J') n
 
-*Endogeneity* of IDIM's columns is the question whether d exceeds chance. On a good encoder quantisation alone makes
+*Endogeneity* of IDIM's columns is tested by whether d is significant. On a good encoder quantisation alone makes
 significant shifts below 0.05 deviations. Therefore d is compared with its own covariance and a tenth of the deviations
 of least squares, ``T = d' (cov(d) + 0.01 cov(x))^-1 d``, which is conservative. *A second solution*, whose columns are
 those of the simulated motion, covers model error: where a parameter's d exceeds two of its deviations, d is added to

@@ -63,7 +63,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class Repeatable:
-    """The part of a residual that repeats at the same place, direction and speed.
+    """Part of a residual that repeats at equal place, direction and speed.
 
     Attributes:
         rms: of that part, in the residual's unit; 0 where the products of different visits are negative on the whole.
@@ -184,7 +184,7 @@ def repeatable(error: FloatArray, where: Cells) -> Repeatable:
 
 
 def by_place(influence: Influence, where: Cells) -> Covariance:
-    """Covariance for errors shared by all visits to a cell (see the module).
+    """Covariance for errors shared by all visits to a cell.
 
     Smoother errors are covered too little. On the EMPS motion, in simulations, 95 % of the 2-sigma intervals hold the
     truth at a length of half a cell, 88-96 % at two and 80-98 % at four.

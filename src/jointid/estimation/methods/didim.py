@@ -1,18 +1,17 @@
 """DIDIM: direct and inverse dynamic identification models, from torque and reference only.
 
 **A rigid joint.** The closed loop is simulated at the current parameters, and the torque error is made least, with the
-output sensitivities J = d tau_sim / d chi, from several starts: one answer, whatever the start. The starts are what
-IDIM finds on the motion that the controller must have seen, and a regular inertia (`rigid_starts`). From each
-leads a descent with the motor at rest at the first sample, and from the best end one with it moving
+output sensitivities J = d tau_sim / d chi, from several starts, with the same answer. The starts are IDIM's estimate on
+the motion that the inverted controller gives, and a regular inertia (`rigid_starts`). From each
+a descent begins with the motor at rest at the first sample, and from the best end one with it moving
 (`estimation.descent`).
 
 The paper steps to a fixed point instead, where least squares on the inverse dynamic regressor W of the simulated
-motion changes nothing any more [P section IV.A]. Where the model leaves something out, the least torque error and that
-fixed point lie further apart than the deviations of either; the interval is then widened to hold both
-(`widened_to_second`).
+motion changes nothing any more [P section IV.A]. With a model error, the least torque error and that fixed point may
+differ by more than the deviations of either; the interval is then widened to hold both (`widened_to_second`).
 
 **A flexible joint.** The load is not controlled, so the regressor on the simulated motion is no approximation of the
-Jacobian [P section IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque,
+Jacobian [P section IV.B]; the criterion itself is minimised, ``J = ||Y - Ys||^2`` of the filtered, decimated torque,
 by the same descents (`spring_search`).
 
 Nonlinear laws begin at the end with linear ones, and so does a search with more of the surroundings free. **A robot**

@@ -1,17 +1,17 @@
 """Identification of a joint without controller, along its measured motor motion.
 
 Torque and motor position are enough, without a load encoder. The motor's motion comes from the record, filtered, and is
-prescribed; the load is simulated behind it (`simulation.drive_side`), and the torque this takes is compared with the
-measured one, filtered alike. It is seen as the log saw it: late by ``log_delay``, where that is free. The delay acts on
-the prediction; on the measurement it would let a fit shrink both sides to nothing. While the motor rests, its friction
-takes what it must and the torque says nothing; these samples have no weight, on both sides alike and before the filter,
+prescribed; the load is simulated behind it (`simulation.drive_side`), and the resulting torque is compared with the
+measured one, equally filtered. The prediction is delayed by ``log_delay``, if that is free. A delay of
+the measurement would let a fit shrink both sides to nothing. While the motor rests, its friction is
+undetermined, and the torque not informative; these samples have no weight, on both sides and before the filter,
 which would smear them. Nor have those about reversals of a rigid joint.
 
 The search is that of a joint under its controller, along another run. Of a rigid joint the torque is linear in all but
 the delay, so that any start will do; a flexible one begins at a rigid one below the resonance
 (`spring_search`).
 
-A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
+A motor in a closed loop responds to disturbances, so its measured motion is correlated with the error, and least
 squares is biased: the intervals are widened for that (`Influence.widen_for_motion`).
 """
 

@@ -123,7 +123,7 @@ class IDIM(Method):
         self, model: Robot | RobotLoop, logs: Sequence[Sequence[Record]], filtering: Filtering,
         known: Mapping[str, Parameter], progress: Progress,
     ) -> Estimate:  # fmt: skip
-        """Identify a robot's base parameters and friction from motor positions and torques of all joints.
+        """Identify a robot's base parameters and friction from motor positions and torques.
 
         Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
 

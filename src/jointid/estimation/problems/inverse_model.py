@@ -193,7 +193,7 @@ class Inverse:
         return measure_motion(self.system, records, filtering, delay=self.delay)
 
     def turn(self, motion: MeasuredMotion) -> MeasuredMotion:
-        """Convert the motors' motion to a robot's joints, to which the columns belong."""
+        """Convert the motors' motion to a robot's joints, for its columns."""
         return turn(self.system, motion) if isinstance(self.system, Robot) else motion
 
     def measure_logs(self, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
@@ -359,7 +359,7 @@ def each_log(records: Records) -> tuple[Sequence[Record], ...]:
     """Records of each log.
 
     Raises:
-        RecordError: there are none, or records beside lists of them.
+        RecordError: there are none, or both records and lists of them.
     """
     whole = {isinstance(one, Record) for one in records}
     if len(whole) != 1:

@@ -1,9 +1,9 @@
 """Linear regressions of stacked equations: ordinary or weighted least squares, or instruments.
 
 **A torque of unstated timing** is one held from its stamp, or one sampled at it, half a sample earlier, which moves
-friction and inertia. The residual is a straight line between both readings, and so tells where between or beyond them
-its power is least. The reading that is nearer is taken. Each interval is widened by the change of its parameter up to
-the least power, and for two deviations of where that is.
+friction and inertia. The residual is linear between both readings, which determines the reading of least power,
+between or beyond them. The nearer reading is taken. Each interval is widened by the change of its parameter up to
+the least power, and by two deviations of its place.
 
 **Weights.** A robot has an equation for each joint, and their errors differ in size by powers of ten from base to
 wrist. Each joint's rows are divided by the size of its own error, again until that settles [Gautier 1997, who takes it

@@ -4,9 +4,9 @@ A joint is a robot of one axis without a tree. A log moves the motors in a simul
 references (`LoopLog`), or by the motion that its motors made (`MotionLog`). In the latter the links are simulated on
 their springs, and the resulting torques compared with the logged ones (`simulation.drive_side`), through one
 window and one filter. The positions' own filter goes over the torques and over the direction of friction, too: on
-random robots, logged at 500 Hz, it left twice the noise otherwise. Where a motor rests or turns round its row is left
-out, as in IDIM. Noise of the positions is not modelled: what the filter leaves of it pulls the values, as in IDIM by
-least squares.
+random robots, logged at 500 Hz, it left twice the noise otherwise. Where a motor rests or reverses its row is left
+out, as in IDIM. Noise of the positions is not modelled: the part that passes the filter biases the values, as in IDIM
+by least squares.
 
 Several logs share the parameters. The rows of a joint are those of all logs, so that each joint has one size of its
 error.
@@ -547,7 +547,7 @@ class ClosedLoopProblem(Simulated):
     """The torque of one record against the simulation of one joint.
 
     Of a loop the filter's borders are left out of the reported error, not of the residual, because the first samples
-    hold what is known of the initial state and no position is differentiated.
+    contain the information on the initial state and no position is differentiated.
 
     Attributes:
         parameters: all of the joint, then of its surroundings.
@@ -695,7 +695,7 @@ class ClosedLoopProblem(Simulated):
 
 
 def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0, torque: float | None = None) -> float:
-    """Compute the motor position at which the controller outputs the first logged torque.
+    """Motor position at which the controller outputs the first logged torque.
 
     With integral action, or without position feedback, this is the first reference.
 
@@ -763,7 +763,7 @@ def pose_robot(
     links' position and velocity from steady motion.
 
     Args:
-        setup: the robot, and what moves it.
+        setup: the robot under its controllers, or along its motion.
         records: of each joint, on one clock; of one log or several.
         parameters: of the robot.
         filtering: of torques, and of measured positions.

@@ -597,12 +597,12 @@ def build_estimate(
 def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> dict[str, float]:
     """Return the bounds that hold free parameters, by name.
 
-    A descent ends a little inside of a bound. So near is a millionth of the value, or, since a bound may be 0, of the
-    change that would move the residual by all of its size, where that is more.
+    A descent ends a little inside of a bound. The tolerance is a millionth of the value, or, since a bound may be 0, of
+    the change that would move the residual by all of its size, if that is more.
 
     Args:
         free: the parameters.
-        x: (free,) what was found for them.
+        x: (free,) their values.
         error: (rows,) residual there.
         J: (rows, free) its derivatives, of either sign.
     """

@@ -92,7 +92,7 @@ def _require(raw: Any, kind: Any) -> Any:
 
 
 def finite(value: object) -> float:
-    """Return a number of a JSON document; raise a ValueError unless it is finite."""
+    """Number of a JSON document; raise a ValueError unless it is finite."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{value!r:.60} is no number")
     return float(value)

@@ -3,12 +3,12 @@
 The end of a search always has a stiffness. The conditions for reporting it are listed in
 docs/how-it-works.md.
 
-Otherwise the record says only how soft the spring may be, for each share of the load in the inertia, which is not known
-either. A joint is then written by its whole inertia, that share, the free-free frequency of its mode and that mode's
-damping ratio. The mode is held at one frequency after the other, and everything else is fitted anew. What is within the
-noise of the best is not excluded. A resonance falls between the frequencies of a grid, but the damping is free, and
-beside a resonance it grows until that grid point is a dip in the profile: from there, and from where the search ended,
-the mode is let go and found. A mode is excluded only where what its last linearisation promises (`Fit.least`), too,
+Otherwise the record only bounds the stiffness, for each share of the load in the inertia, which is unknown,
+too. A joint is then written by its whole inertia, that share, the free-free frequency of its mode and that mode's
+damping ratio. The mode is held at one frequency after the other, and everything else is fitted anew. Fits within the
+noise of the best are not excluded. A resonance falls between the frequencies of a grid, but the damping is free, and
+near a resonance it grows until that grid point is a dip in the profile: from there, and from the end of the search,
+the mode is freed and found. A mode is excluded only if the prediction of its last linearisation (`Fit.least`), too,
 exceeds the noise, so that a fit that ended early makes a bound softer, never stiffer. No record distinguishes a mode
 damped by more than a sixth from a rigid joint: bounds are for modes damped by less.
 

@@ -100,7 +100,7 @@ AGAINST_EVERY_VALUE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check(Message):
-    """A statement that answers a question about an estimate; a question may have several.
+    """A statement that answers one of the questions about an estimate.
 
     Attributes:
         name: the question.
@@ -317,7 +317,7 @@ class Answer:
         return self.trust.code in (Trust.RELIABLE, Trust.PARTLY)
 
     def __str__(self) -> str:
-        """Return the line: ``Inertia 94.90 ± 0.92 kg. You can rely on it.``."""
+        """The line ``Inertia 94.90 ± 0.92 kg. You can rely on it.``."""
         return f"{self.found}. {self.trust}."
 
 

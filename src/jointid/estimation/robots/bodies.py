@@ -154,7 +154,7 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
 
 
 def require_shown(estimate: Estimate) -> None:
-    """Refuse an estimate of a robot with a spring that the record does not show.
+    """Refuse a robot's estimate with a spring that the record hides.
 
     Raises:
         MethodError: there is one.
@@ -318,7 +318,7 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
 
     Raises:
         MethodError: the estimates are of two robots or methods, an estimate did not settle or refuses a parameter, the
-            robot does not tell all of a payload, or its mass comes out negative.
+            robot does not determine all of a payload, or its mass is negative.
     """
     each = list[tuple[list[str], FloatArray, FloatArray, FloatArray]]()
     for estimate in (empty, loaded):

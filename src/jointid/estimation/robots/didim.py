@@ -247,7 +247,7 @@ def search_robot(
 
 @dataclass(slots=True)
 class _Search:
-    """The search of a robot, its evaluations counted; see `search_robot` for its arguments."""
+    """Search of a robot with counted evaluations; arguments as of `search_robot`."""
 
     setup: Any
     along: bool

@@ -1,4 +1,4 @@
-"""Controllers: named laws of signals, filters and limits, lowered to one sampled law.
+"""Controllers: laws of signals, filters and limits, lowered to a sampled law.
 
 To add a law, write its class in `laws` and its name in `LAWS`: the joint file's keys, checks and documentation derive
 from its settings.

@@ -147,7 +147,7 @@ class Notch:
 
 
 def _polynomial(frequency: float, damping: float, period: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return ``s^2/w^2 + 2 d s/w + 1`` by the bilinear rule, times ``(1 + z^-1)^2``.
+    """Second-order polynomial by the bilinear rule, times ``(1 + z^-1)^2``.
 
     It is exact at its own frequency.
     """

@@ -223,7 +223,7 @@ class Controller(Protocol):
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class ServoController:
-    """Common settings of laws; all but the ratio refer to the law's side.
+    """Common settings of laws, on the law's side except for the ratio.
 
     `output`, the unit of the output, is for reports; empty if unknown.
     """

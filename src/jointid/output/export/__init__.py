@@ -105,14 +105,14 @@ def export(
         language: its name, or the ending of its files.
         side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF, MJCF
             and actuators, whose joints are those of a robot's links, and else the side that was identified.
-        name: what the joint or the robot is called; without it "joint", or the name of the robot's model.
+        name: of the joint or the robot; by default "joint", or the name of the robot's model.
         controllers: of each joint, whose gains simulators take; without them those that it was identified under.
         settings: of the language.
 
     Raises:
         MethodError: there is no such language, setting or side, controllers are not one for each joint, or the
             language cannot hold this joint.
-        JointFileError: the joint file cannot be read any more, or cannot say this.
+        JointFileError: the joint file cannot be read any more, or cannot express this.
 
     Example:
         >>> import jointid as ji

@@ -62,7 +62,7 @@ class Model:
     """The model of an export: a joint alone, or a robot.
 
     Attributes:
-        laws: of each joint; None where none is known.
+        laws: of each joint; None for an unknown one.
         alone: the joint.
         whole: the robot.
     """

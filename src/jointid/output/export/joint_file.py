@@ -31,7 +31,7 @@ def joint_file(
     Raises:
         MethodError: there are no such values, there is no joint file to fill in, or it has its numbers on the other
             side.
-        JointFileError: the joint file cannot be read any more, or cannot say this.
+        JointFileError: the joint file cannot be read any more, or cannot express this.
     """
     assert model.alone is not None
     alone, gear = model.alone, model.alone.joint.transmission

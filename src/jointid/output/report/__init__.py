@@ -36,10 +36,10 @@ __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Report:
-    """Report of a joint or a robot: its figures and text, for the screen or for paper.
+    """Report of a joint or a robot: figures and text.
 
     Attributes:
-        estimate: what is reported.
+        estimate: reported.
         diagnosis: of loop, log and residual; None without one.
         checks: of the same estimate on other records.
         name: of the joint; that of the record when empty.

@@ -84,7 +84,7 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """Version, files and command that reproduce a report; empty where they are unknown.
+    """Version, files and command that reproduce a report; empty if unknown.
 
     Attributes:
         version: of this program.
