@@ -126,8 +126,8 @@ def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, Fl
 
 _FRICTIONS = ("coulomb", "viscous")
 _TO_SIGMA = 1.4826  # from the median of absolute deviations, for a normal distribution
-_WINDOW = 5  # runs, of which the middle one is the level: a step stays a step
-_OUT = 6.0  # deviations from that level: of normal scatter one run in thousands is out by chance
+_WINDOW = 5  # runs of a running median, which preserves steps
+_OUT = 6.0  # deviations from that median: with normal scatter one run in thousands is an outlier by chance
 _FEWEST = 8  # runs that a test needs
 
 

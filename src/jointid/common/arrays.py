@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
-_LINE = 64  # bytes of a cache line: rows of vectors begin with one
+_LINE = 64  # bytes of a cache line, to which buffers are aligned
 _WASTE = 4  # largest ratio of a buffer's size to the requested size; a larger buffer is replaced
 
 

@@ -90,11 +90,11 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture, PNG, or SVG that stands in the HTML itself.
+    """A picture: PNG, or SVG that is embedded in the HTML.
 
     Attributes:
-        draw: returns its content; SVG of our own as one element, every text of it escaped.
-        text: the caption, which says what to see.
+        draw: returns its content; SVG as one element with escaped text.
+        text: the caption.
         wide: whether it may be as wide as the page.
     """
 
@@ -112,7 +112,7 @@ class Document:
     """A title and its blocks.
 
     Attributes:
-        blocks: in order; facts and listings that hold nothing are left out.
+        blocks: in order; empty facts and listings are left out.
         answer: JSON embedded in the page for other programs; none when empty.
     """
 
@@ -131,7 +131,7 @@ class Document:
         return "\n".join(line.rstrip() for line in drawn.getvalue().splitlines())
 
     def print(self, console: Console) -> None:
-        """Print on a console, in colour where it has any; see `plain_console`."""
+        """Print on a console, in colour if supported; see `plain_console`."""
         console.print(self.title, style="bold")
         before: Block | None = None
         for block in self.blocks:

@@ -131,7 +131,7 @@ class Axis:
 
     Attributes:
         name: of the joint.
-        joint: the model; its torque is in A or V if that of the channel is.
+        joint: the model; its torque has the channel's unit, A or V, or is N m or N.
         columns: columns of the channels; the drive's profile finds the others.
         controller: controller referred to the joint through its transmission; None if unknown.
         drive: profile of the traces, and the drive's units.

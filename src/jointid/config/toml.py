@@ -153,7 +153,7 @@ def edit(text: str, *changes: Change) -> str:
             change(document)
         if tomllib.loads(document.as_string()) == expected:
             return document.as_string()
-    except (TOMLKitError, tomllib.TOMLDecodeError):  # two tables of one name, where the old one has no heading
+    except (TOMLKitError, tomllib.TOMLDecodeError):  # a table without a heading would be defined twice
         pass
     return tomlkit.dumps(expected)
 
@@ -180,5 +180,5 @@ def relocate_path(path: str, before: Path, after: Path) -> str:
     there = (before / path).resolve()
     try:
         return path if Path(path).is_absolute() else Path(os.path.relpath(there, after.resolve())).as_posix()
-    except ValueError:  # on another drive nothing is relative
+    except ValueError:  # no relative path to another drive
         return str(there)

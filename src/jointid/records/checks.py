@@ -18,7 +18,7 @@ _LIMIT_SHARE = 0.5  # largest share of samples at the torque limit, which simula
 # Share of the samples that may exceed the limit: peaks of a signal declared to be injected after it. The public
 # EMPS record with pulses has 14 of 24,841: its pulses pass the limit, though its report adds them after it.
 _EXCESS_SHARE = 1e-3
-_AT_LIMIT = 1e-3  # as a share of the limit, the distance that counts as at it: the resolution of a ten-bit log
+_AT_LIMIT = 1e-3  # tolerance of a torque at the limit, as a share of it: the resolution of a ten-bit log
 # Impossible speed of a servo-driven joint: ten times that of a fast linear motor, and 950,000 rpm. A share of the
 # samples must exceed it, since a step in the reference is no high speed.
 _FASTEST, _SHARE_OF_FAST_SAMPLES = {"m": 50.0, "rad": 1e5}, 0.01

@@ -89,7 +89,7 @@ def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, res
     """Check stamps and return their clock.
 
     Args:
-        column: name of the time column; empty where the stamps are multiples of `sample_time`.
+        column: name of the time column; empty if the stamps are multiples of `sample_time`.
         stamps: (samples,) [s].
         sample_time: declared one [s], if any.
         resampled: whether the samples are to be resampled, so that stamps may jump.
@@ -157,7 +157,7 @@ class Cut:
             outside, read = (times < begin) | (times >= end), times[kept]
             counted = counted & outside
             if read.size and (begin <= read[0] or end > read[-1]):
-                kept = kept & outside  # what is left out at an end is not read
+                kept = kept & outside  # spans at an end are not read at all
         rows = np.flatnonzero(kept)
         parts = _find_parts(times[rows]) if self.part is not None else [(0, rows.size)]
         left, (lowest, highest) = int(np.count_nonzero(counted)), (times.min(), times.max())

@@ -157,10 +157,10 @@ class Inspection(Documented):
 
     Attributes:
         file: its name.
-        format: what it is.
+        format: name of its format.
         channels: its columns.
-        passed: what looks like a column and is not read, and why.
-        recognised: whose log it is; None where no profile of a drive has its names.
+        passed: skipped columns, with the reasons.
+        recognised: drive profile with its column names; None if there is none.
     """
 
     file: str

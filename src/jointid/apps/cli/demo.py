@@ -48,12 +48,12 @@ def demo(
 
     The axis is the digital twin of the paper's flexible one, and is identified from torque alone, its stiffness too.
     Writes the record, the joint file, the answer and the figure; change the joint file and run
-    `jointid identify FOLDER/joint.toml` to see what follows.
+    `jointid identify FOLDER/joint.toml` to see the effect.
 
     Args:
         folder: where to write, new or empty; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
         robot: a robot of two joints instead, one of them flexible, from torques alone.
-        fleet: the records of four axes over nine days instead, of which the stiffness of one falls.
+        fleet: the records of four axes over nine days instead; the stiffness of one axis falls.
         quiet: print no progress.
     """
     if robot and fleet:

@@ -25,13 +25,13 @@ def identify(
     """Identify a joint or a robot from its record.
 
     Or from several records in one fit, or from hours of a log in bounded memory. The values are printed first, then
-    their checks. What is found is kept beside the joint file, and other commands begin from it.
+    their checks. The estimate is stored beside the joint file, and other commands begin from it.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
-        window: seconds of a window; the record, of a format that is read in chunks, is a log too long for memory: it is
-            identified in windows, and tested for drift.
+        window: seconds of a window; identify a log that is too long for memory in windows, and test for drift; its
+            format must have consecutive rows.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         no_checks: leave out the checks; the answer then says so.
@@ -62,12 +62,12 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     The record has reference, motor position and torque.
 
     Args:
-        joint: the joint file (TOML); channels and drive are enough. Of its [controller], if it has one, the gain is
-            read, and what the record does not show of limit and delay.
+        joint: the joint file (TOML); channels and drive are enough. A [controller] in it provides the gain, and limit
+            and delay if the record does not show them.
         options: those that most commands have.
-        write: also write the joint file, with the learned [controller] and the record that was named, to this file; all
-            else, comments too, stays as it is, but for the paths of records, which from another folder lead to the same
-            files.
+        write: also write the joint file to this file, with the learned [controller] and the given record. Comments and
+            all other lines are kept; the paths of records are adapted
+            to another folder.
     """
     from jointid import learn_controller as run
     from jointid.config import controller_text, load, save_with_controller

@@ -89,7 +89,7 @@ def compare(before: Path, after: Path, /, *, json: Path | None = None) -> None:
     They are of the same joint or robot; a difference counts if it is larger than their errors.
 
     Args:
-        before: the first (A): what identify --json wrote, or the page of a report.
+        before: the first (A): a file of identify --json, or the page of a report.
         after: the second (B), likewise.
         json: also write the answer as JSON to this file.
     """

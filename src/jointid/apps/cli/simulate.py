@@ -37,18 +37,18 @@ def design(
     searched for, of a joint also at other values of its interval. Ctrl-C ends the search and keeps the best test.
 
     Args:
-        joint: the joint file (TOML), whose method is didim; or a robot file, which has the table [robot]: the motion
-            that tells most of it within the limits of its [[joints]], beside that of its record.
+        joint: the joint file (TOML), whose method is didim; or a robot file, which has the table [robot]: the most
+            informative motion within the limits of its [[joints]], in addition to that of its record.
         options: those that most commands have.
-        goal: what the test is to tell: a parameter, a sum or a difference as "motor_viscous - load_viscous", or
+        goal: quantity to identify: a parameter, a sum or a difference as "motor_viscous - load_viscous", or
             "all".
         duration: of the test, in s; without it that of the record.
         injection: whether the drive can add a signal to the torque.
-        search_time: that the search may take, in s.
-        within: percent of each value, by which it may be off; 2 sigma: limits and intervals hold for joints or robots
-            drawn from that. Without it the intervals of the estimate of a joint, or 0.
-        motion: a test of your own, predicted in the place of a search: a past record, or a table with its columns and
-            "injected", in the torque's unit, if a signal is added to the torque.
+        search_time: longest time of the search, in s.
+        within: uncertainty of each value in percent, 2 sigma: limits and intervals hold for joints or robots drawn from
+            it. Without it the intervals of the estimate of a joint, or 0.
+        motion: a test of your own, which is predicted instead of a search: a past record, or a table with its columns
+            and "injected", in the torque's unit, if a signal is added to the torque.
         out: also write the test into this folder: a CSV file in the columns, units and sides of the joint file, a page
             on how to run it, and, without a signal on the torque, the motion as a ROS 2 JointTrajectory (YAML).
     """
@@ -110,9 +110,9 @@ def simulate(
 ) -> None:
     """Simulate a joint or a robot under its controller.
 
-    It is driven by the reference of a record, and what its drive would log is written.
-    The reference of --record, and the injected signal if it has one, drive the loop; --json takes a summary. The
-    parameters are the fixed values and starts of the file.
+    The reference of --record, and its injected signal if any, drive the loop.
+    The signals that the drive would log are written to --out, a summary to --json. The parameters are the fixed values
+    and starts of the file.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].

@@ -194,7 +194,7 @@ async def take_record(request: Request) -> Response:
         options = {name: value for name, value in entries.items() if value}
         fresh.enter(({form.EXTRA: text} if fresh.robot else form.show_tables(tables)) | options)
         await work(fresh.path, folder.READING, "_log.txt", "preview")
-        if not files:  # what was said of other records counts for the same columns
+        if not files:  # entries for records with the same columns are reused
             columns, before = (one.json("_columns.json") for one in (fresh, page.now))
             same = columns["names"] == before.get("names") and not page.now.robot
             known = page.now.texts if same else {}
