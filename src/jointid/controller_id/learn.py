@@ -193,19 +193,18 @@ def learn_controller(
     Args:
         record: with torque, reference and motor_position, the torque's sample time that of the log.
         gain: torque per controller unit of the drive's chain. Gains and limit are in controller units.
-        transmission: of the joint, on whose side the record is; [controller] then says which side that is.
-        declared: a controller whose limit and delay are kept where the record does not show them.
+        transmission: of the joint, on whose side the record is; [controller] then states the side.
+        declared: a controller whose limit and delay are kept if the record does not show them.
         progress: receives messages.
 
     Raises:
         RecordError: a channel is missing, too short, or does not move.
-        MethodError: the gain is not positive, or every law that is searched for leaves half of the torque, or more than
-            5 % of it averaged over 10 samples, which no noise does, or the best one's gains are not significant.
+        MethodError: the gain is not positive, or the residual of every law is half of the torque, or more than 5 % of
+            it averaged over 10 samples, which is no noise, or the best one's gains are not significant.
 
     Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
-    the log of whole samples. An integral, a feed-forward or a delay that carries less than 0.1 % of the torque is taken
-    for none. What is kept from a declaration is in
-    `LearnedController.kept`.
+    the log of whole samples. An integral, a feed-forward or a delay with less than 0.1 % of the torque is
+    neglected. `LearnedController.kept` has the numbers kept from a declaration.
 
     Example:
         >>> import jointid as ji, numpy as np

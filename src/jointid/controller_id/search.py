@@ -30,9 +30,9 @@ class Rival:
     """A structure compared with the best.
 
     Attributes:
-        fitted: with the numbers that fit best.
-        worse: how much larger its criterion is.
-        apart: by how much the torques differ that the two predict, in rms, as a share of the torque's rms.
+        fitted: with the best-fitting numbers.
+        worse: increase of the criterion over the best.
+        apart: rms difference of the two predicted torques, as a share of the torque's rms.
     """
 
     in_json = "structure -fitted"

@@ -27,7 +27,7 @@ class QuantityChange:
 
     Attributes:
         name, symbol, unit: of the quantity.
-        before, after: its values; None where not identifiable.
+        before, after: its values; None if not identifiable.
         difference: after less before; None if a value is missing.
         std: of the difference; None if it is not tested.
         p_value: of the difference, adjusted for all quantities tested; None if it is not tested.

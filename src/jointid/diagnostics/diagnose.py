@@ -65,8 +65,8 @@ def diagnose(
         method: of the identification; see `jointid.identify`, as for the next two.
         filtering: of the identification.
         parameters: changes to the joint's parameters.
-        controllers: of each joint of a robot as declared, None where one is not known; those of the loop if none are
-            given.
+        controllers: of each joint of a robot as declared, None for an unknown one; by default those of the
+            loop.
         laws: whether to identify a joint with every law of its spring and its friction, too, and to judge each by how
             well it predicts parts of the record that were kept from its fit.
         search: called as `jointid.identify`, in its place.

@@ -126,12 +126,12 @@ class Diagnosis(Documented):
 
     Attributes:
         name: of the record of a joint, or of the robot.
-        method: of the estimate; empty where nothing could be identified.
+        method: of the estimate; empty if nothing could be identified.
         axes: the diagnosis of each: one of a joint; none where nothing could be identified.
         torques: of the record, beside the estimate's.
         cause: of the whole log or model, that explains more than the faults of single axes.
         symptoms: of the record and its estimate, the first first; none in the diagnosis that an estimate has.
-        laws: comparisons of the laws of springs and frictions, where they were asked for.
+        laws: comparisons of the laws of springs and frictions, if requested.
         transmission: on whose `side` all numbers are.
     """
 

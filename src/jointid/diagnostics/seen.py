@@ -34,8 +34,8 @@ class Seen:
         through: (samples,) torque that loads its gear.
         sample_time: of all of these, s.
         others: velocity and acceleration of the other axes, by name.
-        force: returns the change of the logged torque by a force on the motor, (samples,); None where that is not
-            known.
+        force: returns the change of the logged torque by a force on the motor, (samples,); None if that is
+            unknown.
         loop: its problem and solution, if simulated as a loop of its own.
         residual, own: (rows,) of that problem, and (rows, free) columns of its parameters.
     """

@@ -206,7 +206,7 @@ class Finding:
 
     Attributes:
         test: of the fault, those found before it corrected.
-        value: estimated, in the unit of the declaration; None where no parameter stands for the fault.
+        value: estimated, in the unit of the declaration; None without a parameter for the fault.
         rivals: tests of faults that are at most 20 times less likely.
         changes: of the joint's parameters, by name, when it is corrected.
         law: the drive's law instead of the declared one, if that is the fault.

@@ -7,7 +7,7 @@ without the force therefore finds too little Coulomb and too much viscous fricti
 on random servos, under forces of 1 to 6 % of the torque of their ramps, by 2 to 87 %.
 
 **The force** is distinguished from noise on the log by its spectrum. The residual r of the moving samples is
-what noise n and force d leave in the torque, with T the loop's complementary sensitivity::
+the effect of noise n and force d on the torque, with T the loop's complementary sensitivity::
 
     S_r(f) = |T(f)|^2 S_d(f) + S_n,      S_d(f) = sum over k of c_k / (1 + (f / f_k)^2),   c_k >= 0
 

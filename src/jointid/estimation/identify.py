@@ -276,7 +276,7 @@ def torques_of(records: Sequence[Record], loops: Sequence[ClosedLoop], outputs: 
     `outputs` is "torque" or "motor_position", or empty for the torque if it is logged, else the position.
 
     Raises:
-        RecordError: a record lacks an output that is asked for.
+        RecordError: a record lacks a requested output.
     """
     logged = any(record.torque is not None for record in records)
     if tuple(outputs) == ("torque",) or (not outputs and logged):

@@ -436,7 +436,7 @@ def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter
 
 
 def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
-    """Refuse values, bounds or starts except for friction and offsets."""
+    """Refuse starts, and values or bounds except of friction and offsets."""
     if not stated:
         return
     own, beside = robot_parameters(robot), [p.name for p, _ in _of_laws(robot, Numbers.of(robot))]

@@ -742,7 +742,7 @@ def _start(
     """Estimate from the first window that identifies the joint.
 
     Raises:
-        RecordError, MethodError: none of the first does; what is wrong with the last that was tried.
+        RecordError, MethodError: none of the first does; the error of the last one.
     """
     refusal: RecordError | MethodError = MethodError(NO_MOTION)
     first = list(islice(filter(moves, (chunk.record for chunk in log.chunks(*cut))), _STARTS))

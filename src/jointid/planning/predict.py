@@ -29,8 +29,8 @@ class Noise:
     Attributes:
         log: standard deviation of white noise on each logged torque, in its unit.
         force: the same of a white force on the motor, held over each period of the controller.
-        left: (rows,) filtered residual that the identification of a first record left.
-        wider: of each parameter, by how much its interval was reported wider than that residual's spectrum makes it.
+        left: (rows,) filtered residual of the identification of a first record.
+        wider: of each parameter, ratio of its reported interval to that by the residual's spectrum.
     """
 
     log: float = 0.0

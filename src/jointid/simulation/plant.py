@@ -190,7 +190,7 @@ class Numbers:
         """Test for physical masses, springs and friction over a duration, s.
 
         Masses are positive, stiffness, damping and friction at rest are not negative, and bands and pieces rise. The
-        rotor of a link may be negative, since only their sum is identifiable. No friction of a robot is
+        rotor's inertia of a link may be negative, as only their sum is identifiable. No friction of a robot is
         negative in any part, its springs have a stiffness, and its delays end before the record.
         """
         # Lists: arrays of so few numbers take longer than a joint's simulation of a second.

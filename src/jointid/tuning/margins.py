@@ -45,9 +45,9 @@ class Margins:
     """Margins of a loop; 0 if unstable, infinite without a crossing.
 
     Attributes:
-        gain: by how much the loop's gain may grow, a ratio. reduction: by how much it may fall, a ratio above 1.
-        phase: by how much its phase may turn either way, rad.
-        delay: that may be added to the loop, seconds.
+        gain: admissible increase of the loop's gain, a ratio. reduction: admissible decrease, a ratio above 1.
+        phase: admissible change of phase either way, rad.
+        delay: admissible additional delay of the loop, seconds.
         modulus: the smallest distance of the response from -1, the inverse of the largest sensitivity.
     """
 

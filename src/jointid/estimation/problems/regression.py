@@ -81,7 +81,7 @@ class Solution:
         values: (parameters,) of all.
         scale: (rows,) sizes of errors by which the rows were divided.
         instruments: (rows, free) of the last turn; None of least squares.
-        turns: solutions that were made. converged: whether the last ones settled.
+        turns: number of solutions. converged: whether the last ones settled.
         held: values of the parameters that a bound holds, by name.
         further: (parameters,) deviations beside those of the rows.
         timing: reading of torques of unstated timing; None if all are stated. said: on that, in a sentence.

@@ -164,7 +164,7 @@ class Data:
         sample_time: of the torque, seconds.
         torque_unit: of the torque: N, N m, A or V.
         fingerprints: of the torque of each record, or of each log of a robot, see `fingerprint`; none of a long log.
-        resampled: how the samples were brought to a uniform clock, None where they were logged so.
+        resampled: resampling of the samples to a uniform clock; None if they were logged so.
         windows: how a long log was cut; None for a record.
     """
 
@@ -185,10 +185,10 @@ class Settings:
         method: its name, as in a joint file; variant: how it was run, in words.
         system: the model, a joint or a robot. loop: the closed loop of a joint, when the method simulated one.
         filtering: as used.
-        delay: seconds from the logged torque to the torque that acts, as declared, or as found where it was free.
-        log_delay: of a robot along its motion, seconds by which the log shows torques late; None elsewhere.
-        timing: reading of a torque of unstated timing; None where it was stated, or nothing else tried.
-        controller: of an estimate from a file the fingerprint of the law that it was identified under.
+        delay: seconds from the logged torque to the acting torque, as declared, or as identified if it was free.
+        log_delay: of a robot along its motion, delay of the logged torques, s; None otherwise.
+        timing: reading of a torque of unstated timing; None if it was stated, or nothing else tried.
+        controller: fingerprint of the law of the identification, for an estimate from a file.
     """
 
     in_json = "-loop -controller"

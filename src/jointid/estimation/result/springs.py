@@ -86,7 +86,7 @@ class Visibility:
 
     Attributes:
         checks: whether its stiffness is reported, or the reasons against it.
-        rigid: values of the rigid joint on the same band; std: standard deviations of those that it determines.
+        rigid: values of the rigid joint on the same band; std: standard deviations of the determined ones.
         bounds: of the stiffness.
         notes: on the deviations of the rigid joint.
     """

@@ -104,7 +104,7 @@ class Check(Message):
 
     Attributes:
         name: the question.
-        passed: True on the good side, False where it failed, None where nothing could be tested.
+        passed: True if passed, False if failed, None if nothing could be tested.
     """
 
     name: Subject
@@ -135,7 +135,7 @@ class StiffnessBound:
 
     Attributes:
         share: of the load in the inertia.
-        stiffness: K12 is above it, with 95 % confidence; None where the record bounds nothing at this share.
+        stiffness: K12 is above it, with 95 % confidence; None if the record gives no bound at this share.
         frequency: free-free, Hz, at that stiffness.
     """
 

@@ -237,7 +237,7 @@ def search_robot(
     Raises:
         RecordError: a record lacks a channel, or has the wrong clock or unit.
         MethodError: the records do not determine the parameters, nothing can be simulated at the start, a frequency is
-            missing, a robot of rigid joints explains the torques better than the springs that were found, or one of
+            missing, a robot of rigid joints explains the torques better than the identified springs, or one of
             several logs along a motion begins in motion.
     """
     how: Any = settings or default_method(setup)
