@@ -137,7 +137,7 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
         return end if is_significant(found, end) else found
 
     ends, failures = list[tuple[float, Solved]](), list[MethodError]()
-    for joint, widely in ((rigid, False), (rigid, True), ({}, True))[: 1 if frequency else None]:
+    for joint, widely in ((rigid, False), (rigid, True), ({}, True))[: 1 if frequency else 3 if rigid else 2]:
         try:
             found = search_about(joint or _follow_reference(task), widely)
         except MethodError as error:
