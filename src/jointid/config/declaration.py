@@ -42,9 +42,8 @@ def fault_at(place: Place, rest: str, code: str = "contradiction") -> Fault:
 
 def locate(error: JointidError, place: Place) -> JointFileError:
     """Prefix the places of an error's faults with a place."""
-    inner = [fault for fault in getattr(error, "faults", ()) if fault.place]
     before = f"{messages.dot_path(place)}." if place else ""
-    found = [Fault(f"{before}{fault}", (*place, *fault.place), fault.code) for fault in inner]
+    found = [Fault(f"{before}{f}", (*place, *f.place), f.code) for f in getattr(error, "faults", ()) if f.place]
     return JointFileError(found or [fault_at(place, f": {error}")])
 
 
@@ -195,7 +194,8 @@ class Reader:
         except UnitError as error:
             found = self._refuse(place, str(error), "unit")
         except (ValueError, OverflowError):
-            found = self._refuse(place, messages.describe_unexpected_value(raw, one.expected))
+            timed = f' Or with its unit, as "{raw} ms".' if stated and one.name in _SHORT else ""
+            found = self._refuse(place, messages.describe_unexpected_value(raw, one.expected) + timed)
         except JointidError as error:
             found = self._refuse(place, f": {error}")
         return found
