@@ -85,7 +85,7 @@ def test_a_unit_in_the_name_counts_unless_another_is_stated(
 def test_the_sample_time_comes_from_the_time_column_or_is_given(
     heading: str, values: np.ndarray, how: dict[str, Any], saved: Saved
 ) -> None:
-    record = read(saved(".csv", **{heading: values, "q": POSITION}), {"reference": "q"}, **how)
+    record = read(saved(".csv", **{heading: values, "q": POSITION}), reference="q", **how)
     assert record.reference.sample_time == 1e-3
 
 

@@ -148,8 +148,8 @@ def _fit_records(
     by_loop = isinstance(model, ClosedLoop | Sequence) and _simulates_loop(method)
     if not (records and all(isinstance(one, Record) for one in records) and (alike or by_loop)):
         raise MethodError(
-            "Several records are a list of records, identified by their loop, or without it if they share all "
-            "parameters: give a ClosedLoop and DIDIM, or leave out `several`."
+            "Records are what `ji.read` returns, several a list, identified by their loop, or without it if they share "
+            "all parameters: give a ClosedLoop and DIDIM, or leave out `several`."
         )
     marks = [fingerprint(one.torque.values) for one in records if one.torque is not None]
     if len({*marks}) < len(marks):

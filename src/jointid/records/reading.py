@@ -56,7 +56,7 @@ def read(
     stop: float | None = None,
     part: int | None = None,
     leave_out: Spans = (),
-    **options: object,
+    **options: Any,
 ) -> Record:
     """Read a record from a file.
 
@@ -81,15 +81,14 @@ def read(
         part: part between jumps of the clock to read, counted from 1; 0 takes the longest.
         leave_out: excluded time spans, [begin, end) each; simulations continue through them.
         resample: rules for a uniform clock.
-        options: of the format's reader; see `jointid.records.formats.TextOptions`.
+        options: a channel's column, as torque="i_q", or of the format's reader; see `records.formats.TextOptions`.
 
     Raises:
         RecordError: the file cannot be read, or contradicts its declaration; `faults` has a sentence for each fault.
     """
     cut = Cut(start, stop, part, tuple(leave_out))
-    reader = RecordReader(
-        columns or {}, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, resample, cut
-    )
+    own = {**(columns or {}), **{name: options.pop(name) for name in CHANNELS if name in options}}
+    reader = RecordReader(own, drive or Drive(), time, time_unit, sample_time, kind, transmission, name, resample, cut)
     return reader.build_record(read_table(path, **options), Path(path).stem)
 
 
