@@ -25,7 +25,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
 from jointid.models.joints import Joint
 from jointid.models.limits import AxisLimits
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.chunks import Log, begin_together
 from jointid.records.formats import format_of, read_table
 from jointid.records.record import Record
@@ -85,6 +85,10 @@ class File:
     text: str = field(default="", compare=False, repr=False)
     changes: tuple[Change, ...] = field(default=(), compare=False, repr=False)
 
+    def __repr__(self) -> str:
+        system = f"{self.joint.model} joint" if self.robot is None else f"robot of {len(self.axes)} joints"
+        return f"File({str(self.path)!r}: {system} by {self.method.name}, record {str(self.source.file)!r})"
+
     @property
     def axis(self) -> Axis:
         """The axis of a joint file.
@@ -130,14 +134,11 @@ class File:
         """
         if self.robot is None:
             return self.axis.loop
-        missing = [str(axis.name) for axis in self.axes if axis.controller is None]
-        if missing:
+        if missing := [str(axis.name) for axis in self.axes if axis.controller is None]:
             raise MethodError(
                 f"A robot is simulated under its controllers; without one: {', '.join(missing)}. Add a controller to "
                 "the [[joints]] table, or identify by idim from motor positions."
             )
-        from jointid.models.robots.robot import RobotLoop
-
         return RobotLoop(self.robot, tuple(one for one in self.controllers if one is not None), self.in_motion)
 
     @property
@@ -186,10 +187,9 @@ class File:
 
     def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
         """Read all axes' records from one file; all begin at one time."""
-        path = self.record_path(path)
         if self.source.parts:
             raise MethodError("record.parts are several records, and this takes one; give start and stop instead.")
-        table = read_table(path, **self.source.options)
+        table = read_table(path := self.record_path(path), **self.source.options)
         found, faults = list[Record](), dict[Fault, list[str]]()
         for axis in self.axes:
             try:
