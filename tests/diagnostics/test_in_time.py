@@ -1,4 +1,4 @@
-"""What no row of the table holds: a force for a part of the time, and a loop on another encoder. No fault is named."""
+"""A force for a part of the time and a loop on another encoder, where no fault is named; an encoder off its centre."""
 
 import json
 from dataclasses import replace
@@ -53,29 +53,33 @@ def test_noise_that_comes_back_is_no_part() -> None:
     assert (found.values["begin"], found.values["end"]) == pytest.approx((2.0, 2.8), abs=0.01)
 
 
-def simulate_loop_on_load(reference: list[float], motor: float, load: float, stiffness: float) -> list[float]:
-    """Return the torques of a cascade whose position loop reads the load, its velocity loop the motor."""
+def identified(travel: float, eccentric: float = 0.0) -> ji.Estimate:
+    """Return the estimate of two masses whose position loop reads the load, or whose one encoder is off its centre."""
+    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 40.0, travel, STEP, duration=6.0)
     h, torques, (q1, q2, w1, w2, before) = STEP / 10, list[float](), (0.0,) * 5
-    for asked in reference:
-        torques.append(0.5 * (20.0 * (asked - q2) - (q1 - before) / STEP))
-        before = q1
+    for asked in reference.tolist():
+        read = q1 + eccentric * float(np.sin(q1 + 0.4) - np.sin(0.4))
+        torques.append(0.5 * (20.0 * (asked - (read if eccentric else q2)) - (read - before) / STEP))
+        before = read
         for _ in range(10):
-            spring = stiffness * (q1 - q2) + 0.01 * (w1 - w2)
+            spring = 30.0 * (q1 - q2) + 0.01 * (w1 - w2)
             friction1, friction2 = (0.03 * np.tanh(w / 1e-3) + 0.01 * w for w in (w1, w2))
-            w1, w2 = w1 + h * (torques[-1] - spring - friction1) / motor, w2 + h * (spring - friction2) / load
+            w1, w2 = w1 + h * (torques[-1] - spring - friction1) / 0.006, w2 + h * (spring - friction2) / 0.006
             q1, q2 = q1 + h * w1, q2 + h * w2
-    return torques
+    torque = np.array(torques) + 0.01 * float(np.std(torques)) * np.random.default_rng(0).standard_normal(len(torques))
+    record = ji.Record(ji.Channel(torque, "N m", STEP), reference=ji.Channel(reference, "rad", STEP))
+    law = ji.controller.Cascade(position_gain=20.0, velocity_gain=0.5)
+    return ji.identify(record, ji.ClosedLoop(ji.FlexibleJoint("revolute"), law))
 
 
 def test_no_torque_reacts_before_its_law() -> None:
-    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 40.0, 2.0, STEP, duration=6.0)
-    torque = np.array(simulate_loop_on_load(reference.tolist(), 0.006, 0.006, 30.0))
-    torque += 0.01 * float(np.std(torque)) * np.random.default_rng(0).standard_normal(torque.size)
-    record = ji.Record(ji.Channel(torque, "N m", STEP), reference=ji.Channel(reference, "rad", STEP))
-    law = ji.controller.Cascade(position_gain=20.0, velocity_gain=0.5)
-    found = ji.identify(record, ji.ClosedLoop(ji.FlexibleJoint("revolute"), law))
-    (loop,) = (one for one in found.checks if one.name is Subject.LOOP)
+    (loop,) = (one for one in identified(2.0).checks if one.name is Subject.LOOP)
     assert (loop.passed, loop.code) == (False, Reason.NO_CAUSE_FOUND)
+
+
+def test_an_encoder_off_its_centre_is_no_load_that_hangs() -> None:
+    (found,) = identified(8.0, 0.03).diagnosis.axes[0].faults.findings
+    assert (found.test.name, found.test.size) == ("eccentric_encoder", pytest.approx(0.03, rel=0.05))
 
 
 @pytest.mark.slow

@@ -45,14 +45,10 @@ def test_a_signal_that_is_switched_while_the_axis_rests_too_is_an_injected_one()
     assert [(one["cause"], one["value"]) for one in message.values["causes"]] == [("injected", 150)]
 
 
-def test_steps_of_a_torque_that_rests_with_the_reference_are_the_drive_s_own() -> None:
+def test_steps_that_rest_with_the_reference_and_those_of_a_coarse_log_are_no_signal() -> None:
     assert find_steps(logged(switched(while_it_moves=True))) is None
-
-
-def test_steps_of_a_coarse_log_are_its_rounding() -> None:
     slow = np.cumsum(np.random.default_rng(3).standard_normal(REFERENCE.size)) / 100
-    record = logged(slow)
-    step = float(np.std(slow)) / 8
+    record, step = logged(slow), float(np.std(slow)) / 8
     coarse = Channel(np.round(record.torque.values / step) * step, "N m", T)
     assert find_steps(record.with_channels({"torque": coarse})) is None
 

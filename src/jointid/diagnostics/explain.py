@@ -73,7 +73,6 @@ _NAMED = 3
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
 _MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
 _MUCH_LATER = 0.5  # periods
-_POOR_START = 0.05  # of the torque: a rigid joint that leaves more far below its resonance has a cause to be searched
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _TOLERANCE = 1e-4  # of a fit that only has to show its residual
@@ -86,7 +85,7 @@ _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the
 _RANGE = 1e4  # times its start, up and down: bounds of a number
 _TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
 
-_FAILS = (JointidError, np.linalg.LinAlgError)
+FAILS = (JointidError, np.linalg.LinAlgError)  # raised where a record does not allow a fit or a check
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +162,7 @@ def explain_misfit(
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     refused = any(p.value is None for p in estimate.rows)
     gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
-    poor = gross or error > _SUSPICIOUS or (refused and _is_poor_far_below(estimate, record, loop))
+    poor = gross or error > _SUSPICIOUS
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
@@ -176,13 +175,6 @@ def explain_misfit(
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None
-
-
-def _is_poor_far_below(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
-    """Test whether a rigid fit far below the resonance is poor, too."""
-    declared = Case(record, loop, estimate.settings.filtering)
-    rigid = fit_rigid([declared]) if loop.joint.model == "flexible" else []
-    return bool(rigid) and rigid[0].error >= _POOR_START
 
 
 def _is_gross(one: FaultTest, period: float) -> bool:
@@ -208,7 +200,7 @@ def find_failure_causes(
         return None
     try:
         return find_causes(part_of(record), loop, progress=progress, free=free)
-    except _FAILS:  # the error of the identification counts
+    except FAILS:  # the error of the identification counts
         return None
 
 
@@ -290,8 +282,8 @@ def find_causes(
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
     more = best and best.left > (min(times * responses, _FITS) if responses > 0 else _FITS)
     solved = next((one for one in fits if best and not more and one.error == best.left and one.case.change), None)
-    if solved is not None and (tests := SolvedLoop(solved.problem, solved.x).tests):
-        more = tests[0].p_value <= LEVEL and not tests[0].possible
+    if solved is not None:
+        more = any(one.p_value <= LEVEL and not one.possible for one in SolvedLoop(solved.problem, solved.x).tests)
     return Causes(left, () if more else explaining, best if more else None, responses)
 
 
@@ -340,7 +332,7 @@ def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tup
 def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
     """Yield the cause that the reference is the motor's position, if possible."""
     moved = replace(declared.record, motor_position=declared.record.reference)
-    with contextlib.suppress(*_FAILS):
+    with contextlib.suppress(*FAILS):
         left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
         words = "the channel given as the reference is the motor's actual position"
         yield Cause("reference_is_position", words, left=left)
@@ -349,7 +341,7 @@ def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
 def _judge_mode(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
     """Yield a mode in the record of a rigid joint, if any."""
     flexible = replace(declared.loop, joint=joint.flexible)
-    with contextlib.suppress(*_FAILS):  # the other causes stand
+    with contextlib.suppress(*FAILS):  # the other causes stand
         found = identify_record(declared.record, flexible, DIDIM(free=declared.beside), declared.filtering)
         if found["stiffness"].value is not None:
             mode = found.frequencies["free_free"]
@@ -381,7 +373,7 @@ class Fit:
         try:
             with np.errstate(all="ignore"):
                 solution = solve(self.problem, LevenbergMarquardt(_TOLERANCE, evaluations), self.x)
-        except _FAILS:  # a loop that runs away, or a part of the law that vanishes
+        except FAILS:  # a loop that runs away, or a part of the law that vanishes
             return None
         error = float(np.linalg.norm(solution.residual)) / self.problem.size
         return replace(self, x=solution.x, error=error) if error < _ASTRAY else None

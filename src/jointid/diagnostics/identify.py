@@ -17,7 +17,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads, one_thread
 from jointid.common.parameters import Parameter
@@ -25,7 +24,7 @@ from jointid.common.text import join, number
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_joint, diagnose_robot
-from jointid.diagnostics.explain import explain_misfit
+from jointid.diagnostics.explain import FAILS, explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search import find_part_of_loop
@@ -60,7 +59,6 @@ from jointid.simulation.simulate import Run
 from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
-_OF_RECORD = (JointidError, np.linalg.LinAlgError)  # raised where the record does not allow a check
 UNCHECKED = "not checked"  # of what was left out, and is made up for by `check_later`
 
 
@@ -196,10 +194,10 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
             loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
         else:
             loop = (check_without_joint(record, problem.loop_at(x)),)
-    except _OF_RECORD as error:
+    except FAILS as error:
         loop = (skip_test(Subject.LOOP, f"not checked: {error}"),)
     faults = None if found is None else found.axes[0].faults
-    with contextlib.suppress(*_OF_RECORD):
+    with contextlib.suppress(*FAILS):
         part = find_part_of_loop(problem, x, record) if faults is None else faults.part
         if part is None:  # what acts all the time does not explain a part of it
             causes = explain_misfit(assemble(fit), record, None if faults is None else faults.findings, progress)
@@ -225,7 +223,7 @@ def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
     """Shifts of parameters by possible faults and undeclared elements."""
     rows = {row.name: row for row in fit.rows}
     wider = [] if fit.robot is not None else list(widen_for_faults(found.axes[0].faults, rows))
-    with contextlib.suppress(*_OF_RECORD):
+    with contextlib.suppress(*FAILS):
         wider += widen_for_undeclared(fit, found)
     return wider
 
@@ -245,7 +243,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     progress("checking controllers and torques")
     try:
         found = diagnose_robot(fit, fit.records)
-    except _OF_RECORD as error:
+    except FAILS as error:
         return _left_out(f"not checked: {error}")
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, found.cause.words)]
     if bad := [joint.name for joint in found.axes if not joint.explained]:

@@ -192,7 +192,7 @@ def _step_along(signature: FaultSignature, whiten: Filter, basis: FloatArray, le
 
 
 def _group_identical(steps: Iterable[_Step]) -> list[list[_Step]]:
-    ordered, groups = sorted(steps, key=lambda one: one.signature.fault.last), dict[int, list[_Step]]()
+    ordered, groups = [*steps], dict[int, list[_Step]]()
     units = np.array([one.alone / max(float(np.linalg.norm(one.alone)), np.finfo(float).tiny) for one in ordered])
     same = np.abs(units @ units.T) > _SAME if ordered else np.zeros((0, 0))
     for i, step in enumerate(ordered):
@@ -239,7 +239,8 @@ class SolvedLoop:
         apart = {fault.name for fault in FAULTS.values() if fault.columns and fault is not LOG_DELAY}
         wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in apart)]
         of_log = () if any(problem.log.seen) else (LOG_GAIN.name, LOG_DELAY.name)  # no torque was logged
-        names = [name for name in (*wanted, *of_log) if name not in taken]
+        # Of those that are collinear the first is named: a gain of the output is the last of them.
+        names = sorted((name for name in (*wanted, *of_log) if name not in taken), key=lambda name: name == "gain")
         wider = problem.freeing(*names)
         residual, slopes = wider.linearise(wider.vector(problem.values(x)))
         columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))

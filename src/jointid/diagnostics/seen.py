@@ -9,6 +9,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.common.transmission import Side
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint
@@ -34,8 +35,8 @@ class Seen:
         through: (samples,) torque that loads its gear.
         sample_time: of all of these, s.
         others: velocity and acceleration of the other axes, by name.
-        force: returns the change of the logged torque by a force on the motor, (samples,); None if that is
-            unknown.
+        force: returns the change of the logged torque by a force on the motor, (samples,), 0 if that is unknown; and
+            by what the log shows of that force itself, if it does.
         loop: its problem and solution, if simulated as a loop of its own.
         residual, own: (rows,) of that problem, and (rows, free) columns of its parameters.
     """
@@ -47,7 +48,7 @@ class Seen:
     torque: FloatArray
     through: FloatArray
     sample_time: float
-    force: Callable[[FloatArray], FloatArray | None]
+    force: Callable[..., FloatArray]
     others: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     loop: tuple[ClosedLoopProblem, FloatArray] | None = None
     residual: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -75,6 +76,16 @@ class Seen:
             return 0.0
         run = self.loop[0].simulate(self.loop[1])
         return 0.0 if run.load_position is None else float(np.max(np.abs(run.motor_position - run.load_position)))
+
+    def turned(self, side: Side) -> FloatArray | None:
+        """Return the angle of a loop's motor or load, (samples,), of that itself; None where it does not turn."""
+        if self.loop is None:
+            return None
+        joint, run = self.loop[0].joint, self.loop[0].simulate(self.loop[1])
+        gear = joint.transmission
+        position = run.motor_position if side == "motor" or run.load_position is None else run.load_position
+        turns = (joint.kind if gear is None else gear.kind_of(side)) == "revolute"
+        return position / (1.0 if gear is None else gear.position(side)) if turns else None
 
     @property
     def has_linear_friction(self) -> bool:
@@ -124,9 +135,9 @@ def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, ow
     run, added = problem.simulate(x), problem.axis.after_limit
     output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
 
-    def respond(force: FloatArray) -> FloatArray | None:
+    def respond(force: FloatArray, shown: FloatArray | None = None) -> FloatArray:
         if force.size != added.size:
-            return None  # a force at the controller's instants needs the motion there
+            return np.zeros_like(run.motor_position)  # a force at the controller's instants needs the motion there
         largest = float(np.max(np.abs(force), initial=0.0)) or 1.0
         small = _FORCE * float(np.max(np.abs(problem.measured))) / largest
 
@@ -136,9 +147,10 @@ def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, ow
         try:
             raw = (simulate(small) - simulate(-small)) / (2 * small)
         except JointidError:  # a loop that is unstable with it is not that of the record
-            return None
+            return np.zeros_like(run.motor_position)
         # The force itself is not in a measured torque.
-        return raw - to_log(problem.axis, force) if problem.axis.tap is Tap.MEASURED else raw
+        raw = raw - to_log(problem.axis, force) if problem.axis.tap is Tap.MEASURED else raw
+        return raw if shown is None else raw + to_log(problem.axis, shown)
 
     return Seen(
         run.motor_position, run.motor_velocity, run.motor.acceleration, output,

@@ -21,6 +21,7 @@ from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
 from jointid.models.friction import PARTS, Friction
 from jointid.models.springs import Spring, swinging_part
+from jointid.simulation.controller_torque import SeenPosition
 from jointid.uncertainty.covariance import INTERVAL
 from jointid.uncertainty.model_tests import fit_whitener
 
@@ -30,7 +31,7 @@ _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: t
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
 _SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
 _LEAST_SAG = 0.04  # of the torque at the peak: to so much a torque constant is known to be one
-_WAVES = 4  # periods in the travel
+_WAVES, _TURNS = 4, 2.0 * np.pi  # periods in the travel; rad of a motor, at least, that show an error of each turn
 _SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
 _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
@@ -39,7 +40,6 @@ _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at 
 _LIKELIEST = 6  # that are simulated
 _WAVES_TRIED = np.arange(3.0, 150.0, 0.25)  # times that a ripple comes back over the travel
 _RANK = 1e-10  # of the largest singular value of columns
-_STEP = 1e-4  # of the known signal
 VISCOUS, COULOMB = 1.0, 0.0
 """Shapes of a friction that changes over the record."""
 
@@ -58,7 +58,6 @@ class Fault:
         one_sided: whether its size can only be positive.
         least: smallest size that is named; smaller ones are within the usual tolerance.
         mechanical: whether it is a fault of the joint's model, not of loop or log.
-        last: whether it is named only where no other fault is collinear.
         kin: group of faults of the model that describe one effect; after one is found, the others are not tested.
         measure: unit in which a sentence shows its size: none, "%", "ms", "torque" or "position"; "level" shows its
             level, as a torque.
@@ -74,7 +73,6 @@ class Fault:
     one_sided: bool = False
     least: float = 0.0
     mechanical: bool = False
-    last: bool = False
     kin: str = ""
     measure: str = ""
     reason: Reason = Reason.LOOP_NOT_AS_DECLARED
@@ -321,14 +319,9 @@ def _push(seen: Seen) -> Columns:
 
 def _scale_injected(seen: Seen) -> Columns:
     """Yield the effect of scaling a signal injected after the limit."""
-    if seen.loop is None or not np.any(seen.loop[0].axis.after_limit):
-        return
-    problem, x = seen.loop
-
-    def scale(by: float) -> FloatArray:
-        return problem.torque(x, lambda e: replace(e, after_limit=by * e.after_limit, logged=by * e.logged))
-
-    yield None, (scale(1 + _STEP) - scale(1 - _STEP)) / (2 * _STEP)
+    if seen.loop is not None and np.any(seen.loop[0].axis.after_limit):
+        axis = seen.loop[0].axis
+        yield None, seen.force(axis.after_limit, axis.shown)
 
 
 def _limit(seen: Seen) -> Columns:
@@ -357,17 +350,25 @@ def _saturate(seen: Seen) -> Columns:
 
 def _hang(seen: Seen) -> Columns:
     """Yield the weight of a loop's load that hangs in four directions."""
-    if seen.loop is None:
+    angle = seen.turned("load")
+    if angle is not None and seen.loop is not None and seen.loop[0].joint.gravity is None:
+        yield from ((hangs, seen.force(-np.sin(angle - hangs))) for hangs in _HANGS)
+
+
+def _misread(seen: Seen) -> Columns:
+    """Yield the answer of a loop to an encoder that is not centred: its position errs by a wave in each turn.
+
+    What the law puts out for that error is a force on the motor, and is in the logged torque itself.
+    """
+    angle = seen.turned("motor")
+    if angle is None or seen.loop is None or np.ptp(angle) < _TURNS or any(seen.loop[0].log.seen):
         return
-    joint, gear = seen.loop[0].joint, seen.loop[0].joint.transmission
-    if joint.gravity is not None or (joint.kind if gear is None else gear.load) != "revolute":
-        return
-    run = seen.loop[0].simulate(seen.loop[1])
-    angle = run.motor_position if run.load_position is None else run.load_position
-    if gear is not None and gear.ratio is not None and gear.side == "motor":
-        angle = angle / gear.ratio
-    for hangs in _HANGS:
-        yield hangs, seen.force(-np.sin(angle - hangs))
+    problem, law = seen.loop[0], SeenPosition(seen.loop[0].axis)
+    errors = (law.respond(one, 0.0 * law.axis.inputs) for one in (np.sin(angle), np.cos(angle)))
+    raw, basis = np.column_stack([seen.force(one, one) for one in errors]), orthonormal_basis(seen.own, _RANK)
+    filtered = problem.filter(raw)
+    weights = np.linalg.lstsq(filtered - basis @ (basis.T @ filtered), seen.residual, rcond=_RANK)[0]
+    yield None, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
 
 
 def _cog(seen: Seen) -> Columns:
@@ -398,10 +399,7 @@ def _cog(seen: Seen) -> Columns:
 
     def simulate(wave: float) -> tuple[float, float, FloatArray]:
         turn = 2 * np.pi * wave / travel * seen.position
-        parts = [one for each in (np.cos(turn), np.sin(turn)) if (one := seen.force(-each)) is not None]
-        if len(parts) < 2:
-            return 0.0, wave, np.zeros(turn.size)
-        raw = np.column_stack(parts)
+        raw = np.column_stack([seen.force(-each) for each in (np.cos(turn), np.sin(turn))])
         gain, weights = explain(problem.filter(raw))
         return gain, wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
 
@@ -432,8 +430,7 @@ def _at_low_speed(sign: float, seen: Seen) -> Columns:
         return
     fastest = float(np.max(np.abs(seen.velocity), initial=0.0)) or 1.0
     for speed in (share * fastest for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
-        column = seen.force(-np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
-        yield speed, None if column is None else sign * column
+        yield speed, seen.force(-sign * np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
 
 
 def _along_travel(seen: Seen) -> Columns:
@@ -468,8 +465,7 @@ def _under_load(seen: Seen) -> Columns:
     if seen.has_linear_friction:
         yield None, seen.force(-np.abs(seen.through) * np.sign(seen.velocity))
     if seen.is_plain:
-        law = Friction("load-dependent")
-        yield _OF_LOAD, seen.vary({"load_friction_per_torque": _LOSS}, _LOSS, friction=law)
+        yield _OF_LOAD, seen.vary({"load_friction_per_torque": _LOSS}, _LOSS, friction=Friction("load-dependent"))
 
 
 def _over_time(seen: Seen) -> Columns:
@@ -528,8 +524,9 @@ _spring = partial(Fault, mechanical=True, reason=Reason.SPRING_NOT_LINEAR, kin="
 _load = partial(Fault, mechanical=True, reason=Reason.LOAD_NOT_RIGID)
 
 _ROWS = (
-    DELAY, REFERENCE_DELAY, _number("gain", "gain of the controller's output", last=True), LOG_GAIN, LOG_DELAY,
-    Fault("injected_gain", "size of the injected signal", _scale_injected, declared=1.0, last=True), OFFSET,
+    DELAY, REFERENCE_DELAY, LOG_GAIN, LOG_DELAY, _number("gain", "gain of the controller's output"),
+    Fault("injected_gain", "size of the injected signal", _scale_injected, declared=1.0), OFFSET,
+    Fault("eccentric_encoder", "encoder that errs once a turn", _misread, "centre it", tried=1, measure="position"),
     Fault(
         "torque_saturation", "torque constant that falls with the current", _saturate,
         "the joint file has one torque constant: record with half of that torque",
