@@ -13,7 +13,7 @@ from jointid.config import load
 from jointid.diagnostics.diagnose import diagnose
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.explain import find_failure_causes
-from jointid.diagnostics.model_free import compare_law
+from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -132,16 +132,16 @@ def test_the_law_is_seen_in_the_motor_s_position_alone() -> None:
     made = axis("rigid")
     record, loop = without_mistake(varied(made, 3))
     found = compare_law(record, loop)
-    assert found.left < 0.05
-    assert found.late == 0.0
-    assert found.gain == pytest.approx(1.0, abs=0.01)
+    assert found.left < 0.05 and (found.late, found.gain) == (0.0, pytest.approx(1.0, abs=0.01))
     assert compare_law(record.without("motor_position"), loop) is None
     late = replace(record.torque, values=np.roll(record.torque.values, 3))
-    shifted = compare_law(record.with_channels({"torque": late}), loop)
-    assert shifted.late == pytest.approx(3 * record.torque.sample_time, abs=0.05 * record.torque.sample_time)
+    T = record.torque.sample_time
+    assert compare_law(record.with_channels({"torque": late}), loop).late == pytest.approx(3 * T, abs=0.05 * T)
     half = replace(record.torque, values=0.5 * record.torque.values)
     scaled = compare_law(record.with_channels({"torque": half}), loop)
     assert scaled.gain == pytest.approx(0.5 * found.gain, rel=1e-6)
+    for left, code in ((0.0103, Agreement.SCALED), (0.0127, Agreement.DIFFERS)):  # by a loop on the load's encoder
+        assert replace(scaled, left=left, gain=1.067, noise=0.0103).agreement.code is code
 
 
 @pytest.mark.slow

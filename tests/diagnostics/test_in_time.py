@@ -55,7 +55,7 @@ def test_noise_that_comes_back_is_no_part() -> None:
 
 def identified(travel: float, eccentric: float = 0.0) -> ji.Estimate:
     """Return the estimate of two masses whose position loop reads the load, or whose one encoder is off its centre."""
-    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 40.0, travel, STEP, duration=6.0)
+    reference = ji.excitation.trapezoids((travel / 2, travel, 2 * travel), 20 * travel, travel, STEP, duration=6.0)
     h, torques, (q1, q2, w1, w2, before) = STEP / 10, list[float](), (0.0,) * 5
     for asked in reference.tolist():
         read = q1 + eccentric * float(np.sin(q1 + 0.4) - np.sin(0.4))

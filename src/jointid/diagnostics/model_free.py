@@ -294,7 +294,8 @@ _OF_LAW = 0.03  # of a torque: what a controller which holds leaves along the lo
 _BEYOND_NOISE = 2.0  # times what any law leaves: the declared one is not what the drive runs
 _GAIN = 0.03  # off 1
 _LEAVES = 0.1  # of the torque: more is not what rounding leaves
-_MORE_THAN_NOISE = 1.25  # times what any law leaves of it
+_MORE = 1.15  # times what any law leaves of it
+_BESIDE, _LARGE = 0.01, 0.5  # of the torque, left beside a factor that is off 1 by less: such a factor leaves noise
 _LATE = 0.25  # samples: no more is no delay
 _A_QUARTER, _SURELY = 0.25, 3.0  # of a change, with so many deviations: a record that has less of it excludes it
 
@@ -330,8 +331,7 @@ class LawOnPosition:
     @property
     def holds(self) -> bool:
         """Whether the declared law reproduces the logged torque."""
-        in_time = self.late == 0.0 and abs(self.gain - 1.0) < _GAIN
-        return in_time and self.left < max(_OF_LAW, _BEYOND_NOISE * self.noise)
+        return not self.late and abs(self.gain - 1.0) < _GAIN and self.left < max(_OF_LAW, _BEYOND_NOISE * self.noise)
 
     @property
     def agreement(self) -> Message:
@@ -342,7 +342,7 @@ class LawOnPosition:
             way = f"{number(1e3 * abs(self.late), 2)} ms {'later' if self.late > 0 else 'earlier'}"
             code, said = Agreement.LATE, f"the torque is {way} than the declared law makes it of the motor's position: "
             said += "check the delay, and which instant a logged value stands for (timing)"
-        elif self.left > max(_LEAVES, _MORE_THAN_NOISE * self.noise):
+        elif self.left > max(_BESIDE if _GAIN < abs(self.gain - 1) < _LARGE else _LEAVES, _MORE * self.noise):
             code = Agreement.DIFFERS
             said = f"the declared law does not make the torque of the motor's position {left}: "
             said += "jointid learn-controller learns the law, unless the torque's unit, a sign or a clock is wrong"
