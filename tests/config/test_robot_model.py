@@ -163,6 +163,8 @@ def test_a_finger_that_follows_another_is_locked_with_it() -> None:
     assert robot.names == ("turn",) and robot.inertials[0, 0] == 7.0
     with pytest.raises(JointFileError):
         read_robot(text)
+    with pytest.raises(JointFileError, match="finger follows none"):
+        read_robot(text.replace('mimic joint="lift"', 'mimic joint="none"'))
 
 
 def test_files_that_are_no_model(tmp_path: Path) -> None:

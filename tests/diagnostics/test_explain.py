@@ -1,6 +1,5 @@
 """The cause that is named where a record does not fit the declared drive: twenty mistakes on two axes."""
 
-import math
 from dataclasses import replace
 from typing import Any
 from unittest.mock import Mock
@@ -30,7 +29,6 @@ from tests.mistakes import (
     Mistake,
     axis,
     cut,
-    run,
     tell,
     without_mistake,
     without_positions,
@@ -59,15 +57,6 @@ def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: s
     assert not str(told).startswith(str(raised.value))
     # What is wrong in the record is to be put right, too; how the search ended is an effect of the cause.
     assert (str(raised.value) in str(told)) is isinstance(raised.value, FaultsError)
-
-
-@pytest.mark.slow
-def test_a_limit_that_is_not_declared_is_named_with_its_level() -> None:
-    made = axis("direct")
-    law = with_numbers(made.controller, {"limit": 0.7 * np.abs(run(made, made.controller).torque.values).max() / 1.3})
-    endless = ClosedLoop(made.joint, with_numbers(law, {"limit": math.inf}))
-    (cause, *_) = find_causes(without_positions(run(made, law)), endless).explanations
-    assert (cause.name, cause.value) == ("limit", pytest.approx(law.limit, rel=0.02))  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow

@@ -103,6 +103,8 @@ def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
     estimate = ji.identify(recorded(twin.loop(), one, 0.02)[0], twin.loop() if by_torques else twin.robot, checks=False)
     same = ji.validate(estimate, recorded(twin.loop(), other, 0.02)[0])
     assert same.answer.code is Prediction.PREDICTED
+    with pytest.raises(ji.MethodError):
+        ji.validate(estimate, recorded(twin.loop(), other, 0.02)[0][:1])
     if by_torques:
         driven = [one.without("torque") for one in recorded(twin.loop(), other, 0.02)[0]]
         assert ji.validate(estimate, driven).answer.code is Prediction.PREDICTED, "as the declared controllers make it"

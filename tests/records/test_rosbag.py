@@ -38,7 +38,7 @@ def state(stamp: int, **fields: Any) -> Any:
     names = list(fields)
     return T["sensor_msgs/msg/JointState"](
         header=header(stamp), name=names, position=np.array(list(fields.values())), velocity=np.empty(0),
-        effort=np.empty(0),
+        effort=np.full(len(names), np.nan),
     )  # fmt: skip
 
 
@@ -80,12 +80,12 @@ def test_dates_begin_with_the_bag_and_a_joint_that_is_missing_is_nan(tmp_path: P
             "/goal": ("std_msgs/msg/Float64", [(begin, T["std_msgs/msg/Float64"](data=1.0))]),
         },
     )
-    columns = read_table(path).columns
+    columns, passed = (table := read_table(path)).columns, table.passed
     np.testing.assert_array_equal(columns["/js/time"], [7e-9, 1 + 7e-9, 2 + 7e-9])
     np.testing.assert_array_equal(columns["/js/a/position"], [1, 2, np.nan])
     np.testing.assert_array_equal(columns["/js/b/position"], [np.nan, 5, 6])
     assert columns["/goal/time"].tolist() == [0]
-    assert "/js/a/velocity" not in columns
+    assert "/js/a/velocity" not in columns and passed["/js/a/effort"] == "it holds no number"
 
 
 @pytest.mark.parametrize("plugin", list(StoragePlugin))
