@@ -104,6 +104,10 @@ def test_a_reference_that_is_held_coarse_or_stepped_lacks_no_samples() -> None:
 def test_most_losses_of_a_motion_are_found() -> None:
     whole = moved(short_moves())
     assert sum(find_lost_samples(lose(whole, seed)) is not None for seed in range(20)) >= 16
+    for first in range(100, 3600, 120):  # 30 gaps of one sample, of which some are at rest
+        whole = without(whole, first, 1)
+    message = find_lost_samples(whole)
+    assert message is not None and message.values["causes"][0]["value"] > 20
 
 
 def zeroed(record: ji.Record) -> ji.Record:

@@ -52,7 +52,7 @@ _BACK = 0.05  # of all the way: who goes back less moves one way only
 _FEWEST_STEPS = 10  # of a motion
 _ROUGH = 0.15  # of a step: by so much the next one may differ
 _SLOW, _COUNTS = 0.1, 8.0  # of a fast step, and times the smallest: a smaller step tells nothing
-_MOST_PLACES = 20  # more are how the reference is made
+_MOST_PLACES, _MOST_OF = 20, 0.01  # of the samples: more are how the reference is made
 _SAID = 3  # places
 _OFF_FOR, _NOTHING = 0.25, 0.03  # s; of the torque's scatter: without a torque for so long, the drive is off
 _RESTS, _NEAR_BY = 2e-3, 0.05  # of the largest speed and travel; of the travel
@@ -172,7 +172,7 @@ def find_lost_samples(record: Record) -> Message | None:
         least = max(_SLOW * float(sizes[int(0.9 * sizes.size)]), _COUNTS * float(sizes[0])) if sizes.size else 0.0
         alike = np.abs(after - before) < _ROUGH * (2.0 + lost) * np.abs(before)
         (places,) = np.nonzero((np.abs(before) > least) & even & near & (lost >= 1.0) & alike)
-    if not 0 < places.size <= _MOST_PLACES:
+    if not 0 < places.size <= max(_MOST_PLACES, _MOST_OF * steps.size):
         return None
     at = record.on_clock(channel.time)
     said = [f"about {lost[k]:.0f} at {at[k + 2]:.12g} s" for k in places[:_SAID]]
