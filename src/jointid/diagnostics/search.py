@@ -141,14 +141,14 @@ def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
     for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
         beside = found.shifts_to(_correct(found, one)[1])
         changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
+    left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
     if len(after.corrected) > len(found.corrected):
-        left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
         in_joint = values.keys() != after.problem.units.keys()
         return Finding(test, None, rivals, changes, left=left if in_joint else None), after
     if test.fault is LIMIT:
         return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
     test = replace(test, size=values[test.name] - test.declared)
-    return Finding(test, values[test.name], rivals, changes), after
+    return Finding(test, values[test.name], rivals, changes, left=left), after
 
 
 def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[str, float]]:

@@ -58,7 +58,7 @@ class Fault:
         one_sided: whether its size can only be positive.
         least: smallest size that is named; smaller ones are within the usual tolerance.
         mechanical: whether it is a fault of the joint's model, not of loop or log.
-        kin: group of faults of the model that describe one effect; after one is found, the others are not tested.
+        kin: group of faults that describe one effect; after one is found, the others are not tested.
         measure: unit in which a sentence shows its size: none, "%", "ms", "torque" or "position"; "level" shows its
             level, as a torque.
         reason: code of the verdict.
@@ -208,7 +208,7 @@ class Finding:
         rivals: tests of faults that are at most 20 times less likely.
         changes: of the joint's parameters, by name, when it is corrected.
         law: the drive's law instead of the declared one, if that is the fault.
-        left: residual share of the filtered torque under that law, or with that fault in the joint.
+        left: residual share of the filtered torque under that law, or with that fault corrected by a fit.
         alike: equally good laws, the likeliest first.
     """
 
@@ -526,7 +526,7 @@ _load = partial(Fault, mechanical=True, reason=Reason.LOAD_NOT_RIGID)
 _ROWS = (
     DELAY, REFERENCE_DELAY, LOG_GAIN, LOG_DELAY, _number("gain", "gain of the controller's output"),
     Fault("injected_gain", "size of the injected signal", _scale_injected, declared=1.0), OFFSET,
-    Fault("eccentric_encoder", "encoder that errs once a turn", _misread, "centre it", tried=1, measure="position"),
+    Fault("eccentric_encoder", "encoder off its centre", _misread, "centre it", 1, kin="gravity", measure="position"),
     Fault(
         "torque_saturation", "torque constant that falls with the current", _saturate,
         "the joint file has one torque constant: record with half of that torque",
