@@ -33,14 +33,10 @@ class Toy:
     derivatives: Callable[[FloatArray], FloatArray]
     asked: list[int] = field(default_factory=list)
 
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual, (rows,)."""
-        self.asked.append(1)
-        return self.measured - self.model(x)
-
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual and its derivatives."""
-        return self.residual(x), -self.derivatives(x)
+        """Return the residual, (rows,), and its derivatives."""
+        self.asked.append(1)
+        return self.measured - self.model(x), -self.derivatives(x)
 
 
 def linear(free: tuple[Parameter, ...], A: FloatArray, y: FloatArray) -> Toy:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 
 _LINE = 64  # bytes of a cache line, to which buffers are aligned
-_WASTE = 4  # largest ratio of a buffer's size to the requested size; a larger buffer is replaced
 
 
 def column_norms(columns: FloatArray) -> FloatArray:
@@ -70,7 +69,7 @@ class Room(threading.local):
         """Return an uninitialised, cache-aligned array, invalidating the previous one of that name."""
         size = math.prod(shape) * np.dtype(dtype).itemsize
         held = self._bytes.get(name)
-        if held is None or not size <= held.size <= _WASTE * (size + _LINE):
+        if held is None or not size <= held.size <= 4 * (size + _LINE):  # larger ones are given back
             room = np.empty(size + _LINE, dtype=np.uint8)
             first = -room.ctypes.data % _LINE
             held = self._bytes[name] = room[first : first + size]

@@ -26,7 +26,6 @@ LEVEL: dict[str, Any] = {"color": "0.35", "linewidth": 0.8, "linestyle": "--"}
 BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0}  # of the area between two lines
 
 _STYLE = Path(__file__).with_name("charts.mplstyle")
-_INCH = 100.0  # pixels of a panel's height
 _METADATA = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}
 
 
@@ -73,7 +72,7 @@ def panels(
             return render(self, "png", dpi=100)
 
     rows = [max(heights[i : i + columns]) for i in range(0, len(heights), columns)] or [170]
-    figure = ShownFigure(figsize=(width, sum(rows) / _INCH))
+    figure = ShownFigure(figsize=(width, sum(rows) / 100.0))  # pixels of a panel's height
     grid = figure.subplots(len(rows), columns, squeeze=False, height_ratios=rows, sharex="col" if share_x else False)
     if title:
         figure.suptitle(title)

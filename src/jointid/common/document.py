@@ -28,7 +28,6 @@ WIDTH = 80
 
 _LEAST, _ASKED = 13, 19  # characters of a fact's name and of a question, or blocks would not line up with each other
 _RULE = "    \n    \n----\n    \n    \n    \n    \n    \n"  # a line below the header only
-_WIDEST = 10_000  # characters: the largest width of a table of numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +239,7 @@ def _table(block: Table, console: Console) -> RenderableType:
             grid.add_column(cells[0], justify="right", min_width=max(map(len, cells)))
     for row in block.rows:
         grid.add_row(*row)
-    least = Measurement.get(console, console.options.update(max_width=_WIDEST), grid).minimum
+    least = Measurement.get(console, console.options.update(max_width=10_000), grid).minimum
     shown = Segments([*console.render(grid, console.options.update(max_width=max(console.width, least)))])
     return Group(block.caption, shown) if block.caption else shown
 

@@ -16,7 +16,6 @@ from typing import Any, Self, TypeVar
 
 _LONGEST = 60  # characters of a value that a sentence shows
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_OFTEN = 1.0  # seconds between two lines on a piece of work
 
 T = TypeVar("T")
 
@@ -61,7 +60,7 @@ def pace(progress: Progress, what: str, total: float, unit: str) -> Callable[[fl
 
     def reach(done: float) -> None:
         nonlocal told
-        if time.monotonic() - told >= _OFTEN:
+        if time.monotonic() - told >= 1.0:  # seconds between two lines on a piece of work
             told = time.monotonic()
             progress(Detail(f"{what}: {done:.0f}{whole} {unit}", pace=True))
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-_EXACT = 1e7  # times its spread: a larger value would be mostly digits
-
 
 def printable(text: str) -> str:
     """Escape control and bidirectional characters from untrusted text, except line ends."""
@@ -40,7 +38,7 @@ def interval(value: float, spread: float) -> str:
         >>> interval(70.401, 0.4712), interval(802861.0, 7276.0), interval(3.1e-7, 4.2e-6)
         ('70.40 ± 0.47', '802900 ± 7300', '0.3e-06 ± 4.2e-06')
     """
-    if not (0 < spread < math.inf and abs(value) < _EXACT * spread):
+    if not (0 < spread < math.inf and abs(value) < 1e7 * spread):  # else mostly digits
         return f"{number(value, 9 if 0 < spread < math.inf else 5)} ± {number(spread, 2)}"
     largest = math.floor(math.log10(max(abs(value), spread)))
     exponent = 0 if -3 <= largest < 6 else largest

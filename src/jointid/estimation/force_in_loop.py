@@ -42,14 +42,7 @@ from jointid.uncertainty.position_dependent_error import RESTING, Uncertainty
 
 MATTERS, TOLD = 0.25, 1.0  # deviations: a smaller shift widens no interval, and a larger one is said
 _PAIRS = 4  # of opposite forces that are simulated
-_ROUNDS = 8  # at most
-_MEMORY = 10.0  # periods of the loop's crossover, over which the residual is correlated with itself
 _CORNERS = (0.015, 0.05, 0.15, 0.5, 1.5, 5.0)  # of the crossover, f_k; and a flat one
-_SLOWEST, _FASTEST = 0.05, 0.4  # of the crossover, of the sampling frequency: the range of the spectrum that is used
-_FEWEST = 8  # frequencies: as many as the spectrum has parts
-_ENOUGH = 0.1  # of the rows have to move
-_LEAKAGE = 1e-2  # of the largest power: what a lag window of few periods leaves of it elsewhere
-_LEAST = 1e-3  # of the torque: a smaller force moves nothing that matters
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +80,9 @@ def widen_for_force(
     Returns also the shifted x and the force; None without a force, or with shifts below a quarter deviation.
     """
     run, at, bounds, std = problem.simulate(x), x, Bounds.of(problem.free), known.covariance.std
-    for count in range(_ROUNDS):
+    for count in range(8):  # at most
         force = find_force(problem, at, run, problem.measured - run.torque)
-        if force is None or force.rms <= _LEAST * float(np.std(problem.measured)):
+        if force is None or force.rms <= 1e-3 * float(np.std(problem.measured)):  # moves nothing that matters
             return known, None
         # At the end of least squares the residual moves nothing: there only what the force adds does.
         shown = run.torque if count == 0 else problem.measured
@@ -119,21 +112,21 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
 
     speed = np.abs(run.motor_velocity)
     moving = (speed > RESTING * np.max(speed, initial=0.0)).astype(np.float64)
-    if run.outcome is not Outcome.FINISHED or np.mean(moving) < _ENOUGH:
+    if run.outcome is not Outcome.FINISHED or np.mean(moving) < 0.1:  # of the rows have to move
         return None
     values = problem.values(x)
     inertia = sum(values[name] for name in ("inertia", "motor_inertia", "load_inertia") if name in values)
     middle = crossover(problem.axis_at(x).law, inertia)
-    hertz, power = _spectrum(error, moving, problem.sample_time, _MEMORY / middle)
-    seen = (hertz >= _SLOWEST * middle) & (hertz <= _FASTEST / problem.sample_time)
+    hertz, power = _spectrum(error, moving, problem.sample_time, 10.0 / middle)  # ten periods
+    seen = (hertz >= 0.05 * middle) & (hertz <= 0.4 / problem.sample_time)  # where log and loop show it
     hertz, power = hertz[seen], power[seen]
-    if hertz.size < _FEWEST or not np.mean(power) > 0:  # a log far slower than the loop shows nothing of its answer
+    if hertz.size < 8 or not np.mean(power) > 0:  # a log far slower than the loop shows nothing of its answer
         return None
     shapes = np.column_stack([1.0 / (1.0 + (hertz / (c * middle)) ** 2) for c in _CORNERS] + [np.ones(hertz.size)])
     columns = np.column_stack([shapes * _response(problem, x, hertz)[:, np.newaxis], np.ones(hertz.size)])
     # A spectrum's deviation is a share of itself, and where it is small, of what reaches there from its largest parts.
     smooth = np.convolve(np.pad(power, 2, "edge"), np.full(5, 0.2), "valid")
-    weight = 1.0 / np.maximum(smooth, _LEAKAGE * np.max(smooth))
+    weight = 1.0 / np.maximum(smooth, 1e-2 * np.max(smooth))
     level = float(np.mean(power))  # the solver has tolerances of its own: it sees numbers about 1
     try:
         parts, _ = nnls(columns * (level * weight)[:, np.newaxis], power * weight)

@@ -40,8 +40,6 @@ WINDOW = 60_000
 
 _LONGEST = 60.0  # s of a window, unless it is given
 _CONSTANT = ("offset", "gravity_constant", "coulomb_forwards", "coulomb_backwards")  # includes a constant torque
-_OF_TORQUE = ("N", "kg", "A", "V")  # units of what is a part of the torque begin so
-_ENOUGH = 0.05  # of the torque's scatter: a smaller known torque tells no scale
 
 
 def is_long(record: Record) -> bool:
@@ -297,9 +295,9 @@ def state_scale(fit: Estimate, records: Sequence[Record]) -> Estimate:
     if not computed:
         return fit
     rows = [row for row in fit.rows if row.of_joint]
-    known = [row.name for row in rows if not row.free and row.value and row.unit.startswith(_OF_TORQUE)]
+    known = [row.name for row in rows if not row.free and row.value and row.unit.startswith(("N", "kg", "A", "V"))]
     if any(  # large enough beside the controller's output to tell a scale
-        record.injected is not None and np.std(record.injected.channel.values) > _ENOUGH * np.std(torque.values)
+        record.injected is not None and np.std(record.injected.channel.values) > 0.05 * np.std(torque.values)
         for record, torque, _ in computed
     ):
         known.append("the injected signal")

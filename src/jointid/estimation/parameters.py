@@ -69,11 +69,7 @@ OF_LOG = {
 INITIAL_TORQUE = Parameter(INITIAL[2], "u(0)", Quantity.FORCE)
 """What a controller with an integral puts out at the first sample: what friction and gravity asked for until then."""
 
-_MOST_LATE = 20.0  # samples that the log may be late, or early
-_LEFT_OPEN = 2.0  # samples: an averaged torque acts one sooner than a held one
 _BESIDE_LAW = {p.name: p for p in INITIAL_STATE} | OF_LOG
-_PARTS = ("integral_gain", "time_constant")  # numbers that are a part of the law: at 0 it is not there
-_POSITIVE = ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency")
 _ROOM = 1e-3  # below what a law cannot have: a derivative by differences also evaluates outside the value
 _SMALL = 1e-6  # relative: how near a search comes to what a law cannot have
 
@@ -111,7 +107,7 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     value, symbol = numbers[name], name.rpartition(".")[2]
     if not math.isfinite(value):
         raise MethodError(f"The {name} of this controller is {value}, where no search can begin; declare a finite one.")
-    if symbol in _PARTS and value == 0.0:
+    if symbol in ("integral_gain", "time_constant") and value == 0.0:
         raise MethodError(f"The {name} of this controller is 0, so it has no such part; declare a start above 0.")
     timed = symbol.endswith(("delay", "time_constant"))
     lower, upper = _range(symbol, value, period)
@@ -122,9 +118,10 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
 def log_delay(known: float | None, sample_time: float, *, stated: bool = True) -> Parameter:
     """The log's delay, s: fixed if known, else free within twenty samples.
 
-    It counts from when the torque acts. If the torque's timing is not stated, a known delay is free within two.
+    It counts from when the torque acts. If the torque's timing is not stated, a known delay is free within two
+    samples: an averaged torque acts one sooner than a held one.
     """
-    late, start = sample_time * (_MOST_LATE if known is None else _LEFT_OPEN), known or 0.0
+    late, start = sample_time * (20.0 if known is None else 2.0), known or 0.0
     free = replace(LOG_DELAY, free=True, start=start, lower=start - late, upper=start + late)
     return free if known is None or not stated else free.fix(known)
 
@@ -132,7 +129,7 @@ def log_delay(known: float | None, sample_time: float, *, stated: bool = True) -
 def _range(symbol: str, value: float, period: float | None) -> tuple[float, float]:
     """Return the bounds of a number of a law."""
     lower = {"constant_feedforward": -math.inf, "numerator_damping": -1.0 + _SMALL}.get(symbol, 0.0)
-    if symbol in _POSITIVE:
+    if symbol in ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency"):
         lower = _SMALL * value
     upper = math.inf
     if period is not None and symbol.endswith("frequency"):
@@ -149,12 +146,7 @@ def of_law(name: str) -> bool:
 
 # The parameters of a robot
 
-_MOTIONS = 300  # random ones, at each of which every joint has an equation
-_FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
-_REACH, _FACTOR = math.log(3.0), 2.0  # of a step: of a parameter on a logarithmic scale, and over the start of a law's
 _SCALED = ("motor_inertia", "stiffness")  # what a search may take on a logarithmic scale
-_LATE = 2e-3  # s of a step: a delay by at most so much
-_DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -299,14 +291,14 @@ class RobotParameters:
 
     def reach(self, values: FloatArray) -> FloatArray:
         """Step limit of each free parameter from these values, (free,)."""
-        reach = np.where(self.logarithmic, _REACH, np.inf)
+        reach = np.where(self.logarithmic, math.log(3.0), np.inf)
         of_laws = {place for place, _ in law_places(self.base)}
         for c, place in enumerate(self.places):
             damping = place.name == "damping"
             if place.name == DELAY:
-                reach[c] = _LATE
+                reach[c] = 2e-3  # s of a step: a delay by at most so much
             elif (place in of_laws or damping) and values[c] != 0.0:
-                reach[c] = (_DAMPED if damping else _FACTOR) * abs(values[c])
+                reach[c] = (5.0 if damping else 2.0) * abs(values[c])  # of where the step begins
         return reach[self._searched]
 
     def numbers(self, values: FloatArray) -> Numbers:
@@ -474,7 +466,7 @@ def _order_parameters(numbers: Numbers, offsets: bool, rising: bool) -> tuple[Pl
 
 def _random_columns(robot: Robot, numbers: Numbers, places: tuple[Place, ...]) -> FloatArray:
     """Columns at random motions, (rows, parameters), with rounding set to 0."""
-    random, shape = np.random.default_rng(0), (_MOTIONS, numbers.count)
+    random, shape = np.random.default_rng(0), (300, numbers.count)
     velocity = 2.0 * random.normal(size=shape)
     for row, (i, side) in enumerate(numbers.sides):  # a third of the motions are slow enough to be there
         velocity[::3, row] *= 0.5 * numbers.values[i].get(f"{side}stribeck_speed", 0.0) or 1.0
@@ -486,7 +478,7 @@ def _random_columns(robot: Robot, numbers: Numbers, places: tuple[Place, ...]) -
         columns[:, row, acts] = values
     every = columns.reshape(-1, len(places))
     sizes = np.linalg.norm(every, axis=0)
-    return np.where(sizes > _FELT * np.max(sizes), every, 0.0)
+    return np.where(sizes > 1e-10 * np.max(sizes), every, 0.0)
 
 
 def _name_parameter(robot: Robot, place: Place, logarithmic: bool, weights: FloatArray) -> Parameter:

@@ -70,12 +70,6 @@ FitRecord: TypeAlias = Callable[..., Estimate]
 # Several records
 
 GAIN = "drive_gain"  # the torque that acts, over the torque in the log; one record cannot tell it
-_QUIETEST = 1e-6  # of the largest torque: no record's residual is taken for smaller
-_ROUNDED = 1e-8  # of a value
-_STACKED = 1e-4  # of the noise of a row, squared: a step that promises less moves no parameter by a hundredth deviation
-_NO_ERROR = 1e-3  # of the level: a residual that is as good as none
-_TURNS = 4  # searches with new levels of the residuals, at most
-_STEADY = 0.01  # a change of the levels that asks for no other
 
 
 class Layout(NamedTuple):
@@ -234,7 +228,7 @@ class Records:
 
     def weigh(self, x: FloatArray) -> Records:
         """Weight the problem by the levels of the residuals at a candidate."""
-        least = _QUIETEST * max(problem.size for problem in self.problems)
+        least = 1e-6 * max(problem.size for problem in self.problems)  # no residual is taken for smaller
         levels = [max(float(np.linalg.norm(error)), least) / math.sqrt(error.size) for error, _ in self.rows(x)]
         return replace(self, sigma=np.array(levels))
 
@@ -325,12 +319,13 @@ def _search(together: Records, x: FloatArray) -> tuple[Solution, Records, int]:
             "The drive's gain cannot be distinguished from the scale of the joint's parameters, because no two records "
             "differ by a known inertia; give the inertia added to the load in one of them, or keep the gain fixed."
         )
-    solver = LevenbergMarquardt(worth=_STACKED / len(J), enough=_NO_ERROR * math.sqrt(len(J)))
-    for _ in range(_TURNS):
+    # Of a row's noise, squared: a step worth less moves no parameter by a hundredth deviation.
+    solver = LevenbergMarquardt(worth=1e-4 / len(J), enough=1e-3 * math.sqrt(len(J)))
+    for _ in range(4):  # searches with new levels of the residuals, at most
         solution = solve(together, solver, x)
         x, made = solution.x, made + solution.evaluations
         weighed = together.weigh(x)
-        if np.all(np.abs(np.log(weighed.sigma / together.sigma)) < _STEADY):
+        if np.all(np.abs(np.log(weighed.sigma / together.sigma)) < 0.01):
             break
         together = weighed
     return solution, together, made * len(together.problems)
@@ -438,21 +433,14 @@ def _describe_record(fit: Estimate, together: Records, number: int, gain: float)
         names.append(p.name)
         values[label] = scale * row.value - float(more)
         # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
-        std.append(max(scale * row.stderr, _ROUNDED * abs(scale * row.value)))
+        std.append(max(scale * row.stderr, 1e-8 * abs(scale * row.value)))
     return Alone(values, Covariance(np.array(std), fit.covariance_of(names).correlation))
 
 
 # Windows of a long log
 
-_FORGOTTEN = 0.01  # of how far a beginning is off: what is left of it is forgotten
-_RINGS = 10.0  # periods of its cut-off that the zero-phase filter rings
 _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood errs alike (`position_dependent_error`)
 _AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
-_STARTS = 5  # windows that are tried to start from
-_TRAVEL = 0.5  # of the most that one of them moves: those with less are tried last
-_PASSES = 12  # at most
-_SUMMED = 0.1  # of the noise of a row, squared: a step that promises less moves no parameter by a third of a deviation
-_ROUNDING = 1e-6  # of the torque: a residual as good as none
 
 NO_MOTION = "In no window of this record does the axis move; give another record."
 
@@ -520,10 +508,10 @@ def settling(like: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
     sample of the torque by more than a hundredth, filter included.
     """
     other = begin_window(like, record, disturbed=1.0)
-    apart = np.abs(like.torque(x) - other.torque(x)) > _FORGOTTEN * float(np.std(like.measured))
+    apart = np.abs(like.torque(x) - other.torque(x)) > 0.01 * float(np.std(like.measured))
     remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     assert like.filtering.cutoff is not None
-    return remembers + math.ceil(_RINGS / (like.filtering.cutoff * like.sample_time))
+    return remembers + math.ceil(10.0 / (like.filtering.cutoff * like.sample_time))  # the filter rings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -684,8 +672,9 @@ def identify_windows(
     def watch(step: Step) -> None:
         progress(Detail(f"pass {len(problem.passes)}: torque error {100 * step.norm / math.sqrt(sums.size):.4f} %"))
 
-    enough = _ROUNDING * math.sqrt(sums.size)
-    solution = solve(problem, LevenbergMarquardt(1e-8, _PASSES, None, _SUMMED / sums.rows, enough), x, watch)
+    enough = 1e-6 * math.sqrt(sums.size)  # of the torque: a residual as good as none
+    # Of a row's noise, squared: a step worth less moves no parameter by a third of a deviation.
+    solution = solve(problem, LevenbergMarquardt(1e-8, 12, None, 0.1 / sums.rows, enough), x, watch)
     found, x = problem.pass_over(solution.x), solution.x
     if found.stopped:
         raise MethodError(f"{found.stopped}: check the controller and the start, or begin from another window.")
@@ -745,8 +734,8 @@ def _start(
         RecordError, MethodError: none of the first does; the error of the last one.
     """
     refusal: RecordError | MethodError = MethodError(NO_MOTION)
-    first = list(islice(filter(moves, (chunk.record for chunk in log.chunks(*cut))), _STARTS))
-    enough = _TRAVEL * max(map(travel, first), default=0.0)
+    first = list(islice(filter(moves, (chunk.record for chunk in log.chunks(*cut))), 5))
+    enough = 0.5 * max(map(travel, first), default=0.0)  # windows with less are tried last
     for record in sorted(first, key=lambda one: travel(one) < enough):
         progress(f"starting from the window that begins at {record.begin:g} s")
         try:

@@ -58,15 +58,9 @@ SHOWN = 4.0  # deviations from 0 of what is there beyond doubt
 ROUNDING = 1e-9  # of the largest singular value of columns of norm 1: one that is rounding
 
 _BANDS = 8  # of frequency, whose scores are compared
-_BLUE = 0.1  # correlation of neighbouring rows, below 0, from which a residual grows with the frequency
-_MOST = 2.0  # times its residual: what leaving a block out may make of it
-_LOST = 1e-6  # of the largest: a direction that a block of rows determines alone
 _FEWEST = 4  # frequencies of a band: eight degrees of freedom
-_SHARE = 0.25  # of its frequency, that a band is wide
 _LEFT = 1.0  # degrees of freedom that the fit leaves in a band, at least
 _SINGULAR = 1e-12  # of the largest: a direction whose variance, or information, is rounding
-_ALONE = 0.9  # of the information in a direction: the group is as good as alone
-_NONE = 1e-13  # of the largest: a singular value that is none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,12 +216,12 @@ class Influence:
         Z, slopes, before, block = self.columns[order], self.slopes[order], self.error[order], block[order]
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
         shares, scores = _products(Z, slopes, first), np.add.reduceat(Z * before[:, np.newaxis], first)
-        inverse = np.linalg.pinv(np.eye(len(self.spread)) - self.spread @ shares, _LOST)
+        inverse = np.linalg.pinv(np.eye(len(self.spread)) - self.spread @ shares, 1e-6)
         moved = inverse @ (self.spread @ scores[..., np.newaxis])
         rows = np.diff(first, append=len(block))
         after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
         # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
-        kept = np.add.reduceat(after**2, first) <= _MOST**2 * np.add.reduceat(before**2, first)
+        kept = np.add.reduceat(after**2, first) <= 2.0**2 * np.add.reduceat(before**2, first)
         found = np.empty_like(self.error)
         found[order] = np.where(np.repeat(kept, rows), after, before)
         return found
@@ -246,7 +240,7 @@ class Influence:
         i, j = np.triu_indices(self.J.shape[1])
         M = (K * np.where(i == j, 1.0, 2.0)) @ H.T + np.diag(left)
         freedom = np.maximum(np.diag(M), 1e-3)
-        inverse = np.linalg.pinv(M, rcond=_NONE)
+        inverse = np.linalg.pinv(M, rcond=1e-13)  # of the largest: a singular value that is none
         level = _solve_levels(inverse, M, power, freedom)
         size = self.J.shape[1] if asked is None else len(asked)
         (i, j), matrix = np.triu_indices(size), np.empty((size, size))
@@ -315,7 +309,7 @@ class Influence:
         for part in self.parts:
             own, rows = self.error[part], part.stop - part.start
             lagged = np.array([own[: rows - lag] @ own[lag:] for lag in range(min(bandwidth(rows), rows - 1) + 1)])
-            if lagged.size > 1 and lagged[1] < -_BLUE * lagged[0]:
+            if lagged.size > 1 and lagged[1] < -0.1 * lagged[0]:  # it grows with the frequency
                 law = np.concatenate([[1.0], -linalg.solve_toeplitz(lagged[:-1], lagged[1:])])
                 J, error = found.J.copy(), found.error.copy()
                 Z = J.copy() if found.instruments is None else found.instruments.copy()
@@ -423,7 +417,7 @@ def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
     total, first = np.concatenate([[0.0], np.cumsum(left)]), [0]
     while True:
         k = first[-1]
-        wide = max(_FEWEST, min(int(_SHARE * k), math.isqrt(rows)))
+        wide = max(_FEWEST, min(int(0.25 * k), math.isqrt(rows)))  # of its frequency, that a band is wide
         after = min(k + wide, left.size)
         if total[after] < total[k] + _LEFT:
             after = max(after, int(total.searchsorted(total[k] + _LEFT)))
@@ -512,7 +506,7 @@ def left_out(groups: Sequence[Sums]) -> Covariance:
     found = covariance_of((len(groups) - 1) / len(groups) * apart.T @ apart)
     back = vectors / np.sqrt(sizes)
     most = max(float(np.linalg.eigvalsh(back.T @ (g.A / outer) @ back)[-1]) for g in groups)
-    if most > _ALONE or len(groups) <= scale.size:
+    if most > 0.9 or len(groups) <= scale.size:  # of the information in a direction: the group is as good as alone
         white = covariance_of(whole.square / max(whole.rows - scale.size, 1) * back @ back.T)
         found = larger(white, found)
     return Covariance(found.std / scale, found.correlation)

@@ -54,14 +54,7 @@ from jointid.uncertainty.covariance import (
 )
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty
 
-_PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long
-_MATTERS = 0.1  # deviations of least squares: a smaller shift is none
-_RANK = 1e-3  # of the largest: directions of V that are less are not counted
-_BELIEVED = 0.01  # a smaller p-value of a rigid joint says that it is flexible
-_INSIDE = 0.95  # of the cut-off: the filter is flat up to there
 _LAGS = 20
-_ROWS_PER_LAG = 4  # at least
-_ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
 
@@ -101,7 +94,7 @@ def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness
     from scipy.stats import chi2
 
     e = _within(error / (np.max(np.abs(error)) or 1.0), sample_time, cutoff)  # squares of rounding are 0
-    if e.size < _ROWS_PER_LAG * _LAGS or not np.any(e):
+    if e.size < 4 * _LAGS or not np.any(e):
         return None
     products = [e[lag:] * e[:-lag] for lag in range(1, _LAGS + 1)]
     statistic = float(sum(np.sum(p) ** 2 / np.sum(p**2) for p in products))
@@ -111,7 +104,7 @@ def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness
 def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
     """Resample a residual to its pass band."""
     spectrum = np.fft.rfft(error - error.mean())
-    highest = min(_INSIDE * cutoff, 0.5 / sample_time)
+    highest = min(0.95 * cutoff, 0.5 / sample_time)  # of the cut-off: the filter is flat up to there
     # The last frequency is left out, which at half the sampling frequency has no phase.
     kept = min(math.floor(highest * error.size * sample_time), spectrum.size - 2)
     if kept < 1:
@@ -129,11 +122,11 @@ def fit_whitener(residual: FloatArray) -> Filter:
     from scipy.signal import lfilter
 
     rows = residual.size
-    order = min(_ORDER, rows // 4)
+    order = min(16, rows // 4)  # of the autoregressive model
     products = np.array([residual[lag:] @ residual[: rows - lag] for lag in range(order + 1)]) / rows
     if not products[0] > 0:
         return lambda signals: signals
-    products[0] *= 1 + _FLOOR
+    products[0] *= 1 + 1e-2  # white: a stop band is not to be blown up
     weights = solve_toeplitz(products[:-1], products[1:])
     scale = math.sqrt(products[0] - weights @ products[1:])
     taps = np.concatenate([[1.0], -weights]) / scale
@@ -159,7 +152,7 @@ class BoundaryTest:
     @property
     def significant(self) -> bool:
         """True if the record requires the flexible model, at 1 %."""
-        return self.p_value <= _BELIEVED
+        return self.p_value <= 0.01  # a smaller p-value of a rigid joint says that it is flexible
 
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
@@ -191,7 +184,7 @@ def flexible_against_rigid(
     """
     Q, E = orthonormal_basis(J, ROUNDING), np.hstack(extra)
     beside = E - Q @ (Q.T @ E)
-    sizes = np.linalg.norm(beside, axis=0)
+    sizes = column_norms(beside)
     beside = np.where(sizes > ROUNDING * np.linalg.norm(E, axis=0), beside / sizes, 0.0)  # else rounding, or no number
     degrees = max(residual.size - J.shape[1] - 1, 1)
     rigid = float(residual @ residual - np.sum((Q.T @ residual) ** 2))
@@ -202,7 +195,7 @@ def flexible_against_rigid(
     left = residual + beside[:, best] * amounts[best] - Q @ (Q.T @ residual)
     whole = Influence(np.column_stack([J, beside[:, best]]), left)
 
-    blocks = {"time": np.arange(residual.size) // (_PER_BANDWIDTH * bandwidth(residual.size))}
+    blocks = {"time": np.arange(residual.size) // (3 * bandwidth(residual.size))}
     if where is not None:
         blocks["place"] = np.unique(where.stretch, return_inverse=True)[1].reshape(-1)
     p_values = dict[str, float]()
@@ -240,12 +233,12 @@ def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: in
 
     W, Z = W / column_norms(W), Z / column_norms(Z)
     sizes = np.linalg.svd(W - Z @ np.linalg.lstsq(Z, W, rcond=None)[0], compute_uv=False)
-    degrees = int(np.sum(sizes > max(_RANK * sizes[0], ROUNDING)))
+    degrees = int(np.sum(sizes > max(1e-3 * sizes[0], ROUNDING)))  # smaller directions are not counted
     if degrees == 0:
         return 1.0
     least = Influence(W, Y - W @ np.linalg.lstsq(W, Y, rcond=None)[0], equations=equations)
     shift, noise = second_solution(Z, least)
-    spread = noise.matrix + _MATTERS**2 * least.by_time().matrix
+    spread = noise.matrix + 0.1**2 * least.by_time().matrix  # deviations of least squares: a smaller shift is none
     return float(chdtrc(degrees, shift @ np.linalg.pinv(spread, hermitian=True) @ shift))
 
 

@@ -34,8 +34,6 @@ IntArray = NDArray[np.intp]
 _POSITIONS = 24  # cells along the travel
 _LAGS = bandwidth(_POSITIONS)  # cells along the travel, on each side, that err together with one
 _SPEEDS = 3  # classes
-_BLOCKS = 40  # of time, at most
-_FEWEST = 6  # of them, to say anything
 _FLIPS = 999
 
 
@@ -159,7 +157,7 @@ def repeatable(error: FloatArray, where: Cells) -> Repeatable:
         where: its rows' cells.
     """
     rows = error.size
-    length = max(-(-rows // _BLOCKS), 3 * bandwidth(rows))
+    length = max(-(-rows // 40), 3 * bandwidth(rows))  # of time, at most
     block = np.arange(rows) // length
     blocks = int(block[-1]) + 1
     shape = (int(where.label.max()) + 1, blocks)
@@ -174,7 +172,7 @@ def repeatable(error: FloatArray, where: Cells) -> Repeatable:
     products = apart * (sums.T @ (weight[:, np.newaxis] * sums))
     square, total = float(products.sum()), float(error @ error) / rows
     p_value = None
-    if blocks >= _FEWEST and np.any(pairs > 0):
+    if blocks >= 6 and np.any(pairs > 0):  # of them, to say anything
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(_FLIPS, blocks))
         others = np.sum((signs @ products) * signs, axis=1)
         as_large = others >= square - ROUNDING * np.abs(products).sum()  # signs may leave every product as it is

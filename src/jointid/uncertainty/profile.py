@@ -29,14 +29,6 @@ from jointid.uncertainty.covariance import COVERED, ROUNDING, Covariance, covari
 from jointid.uncertainty.identifiability import Combination
 
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
-_FIRST = 0.5  # of the way to where a linear problem would end
-_BEYOND, _NEARER, _FARTHER = 1.05, 1.5, 3.0  # of the threshold's root, aimed at; and by what the way then grows
-_FAR = 1.5  # times the threshold's root: a point above is too far away to interpolate
-_NARROW = 0.02  # of the way from the estimate to an end: so near the end is known
-_IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that it was no minimum
-_LEAST = 1e-4  # of the compliance: a smaller one is negligible
-_SOLVER = LevenbergMarquardt(1e-8, 30)  # of a fit with the quantity held
-_POINTS = 14  # at most, on each side
 _TINY = 1e-30  # of a complex step, which no digit of a real value has
 
 
@@ -175,7 +167,7 @@ def profile(
     threshold = half**2 / flat if flat else 0.0
 
     def fit(value: float, start: FloatArray) -> _Point:
-        end = solve(_Held(counted, weights, _HELD / math.sqrt(flat or 1.0), value), _SOLVER, start)
+        end = solve(_Held(counted, weights, _HELD / math.sqrt(flat or 1.0), value), LevenbergMarquardt(1e-8, 30), start)
         error = end.residual[:-1]
         return _Point(float(weights @ end.x), float(error @ error), end.x)
 
@@ -184,7 +176,7 @@ def profile(
     for sign in (-1.0, 1.0) if threshold else ():
         furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)
         limit = float(np.sum(weights[own] * furthest[own]))
-        found += _follow(fit, centre, direction, sign * half, limit, threshold, _POINTS)
+        found += _follow(fit, centre, direction, sign * half, limit, threshold, 14)  # at most, on each side
     found.sort(key=lambda point: point.value)
     best = int(np.argmin([point.cost for point in found]))
     values = np.array([point.value for point in found])
@@ -192,7 +184,7 @@ def profile(
     return ProfileInterval(
         combination.name, combination.formula, combination.unit, centre.value, values, rise, threshold,
         (_crossing(values[best::-1], rise[best::-1], threshold), _crossing(values[best:], rise[best:], threshold)),
-        centre.cost - found[best].cost > _IMPROVED * threshold, counted.evaluations,
+        centre.cost - found[best].cost > 1e-3 * threshold, counted.evaluations,
     )  # fmt: skip
 
 
@@ -237,13 +229,13 @@ def _follow(
             roots[value] = math.sqrt(risen / threshold) - 1.0
         return roots[value]
 
-    way, outside, risen = _FIRST * half, centre.value, -1.0
+    way, outside, risen = 0.5 * half, centre.value, -1.0  # of the way to where a linear problem would end
     while risen < 0.0 and len(found) <= most and abs(limit - found[-1].value) > 1e-3 * abs(way):
         inside, outside = outside, nearer(centre.value + way, limit)
         risen = root_at(outside)
-        way *= min(max(_BEYOND / max(risen + 1.0, 1e-9), _NEARER), _FARTHER)
-    if risen > _FAR - 1.0 and len(found) <= most:
-        narrow = _NARROW * abs(outside - centre.value)
+        way *= min(max(1.05 / max(risen + 1.0, 1e-9), 1.5), 3.0)  # just beyond the threshold
+    if risen > 0.5 and len(found) <= most:  # too far away to interpolate
+        narrow = 0.02 * abs(outside - centre.value)  # of the way from the estimate to an end: so near the end is known
         root_scalar(root_at, bracket=(inside, outside), method="brentq", xtol=narrow, maxiter=most + 1 - len(found))
     return found[1:]
 
@@ -267,7 +259,7 @@ def profile_compliance(
 ) -> ProfileInterval:
     """Profile 1/K12, nearly linear for a stiff joint; arguments as of `profile`."""
     at = [p.quantity for p in problem.free].index(Quantity.STIFFNESS)
-    by = by_compliance(problem, _LEAST / float(x[at]))
+    by = by_compliance(problem, 1e-4 / float(x[at]))  # of the compliance: a smaller one is negligible
     turn = np.where(np.arange(x.size) == at, -1.0 / x[at] ** 2, 1.0)  # of 1/K by K
     wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
     turned = covariance_of(covariance.matrix * np.outer(turn, turn))

@@ -72,7 +72,6 @@ from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.model_tests import whiteness, widened_to_second
 from jointid.uncertainty.position_dependent_error import uncertainty
 
-_FLEXIBLE = ("flexible",)
 _OUTPUTS = ("torque", "motor_position")
 
 
@@ -104,7 +103,7 @@ class DIDIM(Method):
         "grid, a simulation each",
         unit="Hz",
         above=0,
-        systems=_FLEXIBLE,
+        systems=("flexible",),
     )
     free: tuple[str, ...] = setting((), SURROUNDINGS)
     outputs: tuple[str, ...] = setting(

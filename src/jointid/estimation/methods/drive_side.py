@@ -52,8 +52,6 @@ _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[1], "dv12(0)", Quantity.VELOCITY),
 )
 
-_LOWEST, _HIGHEST = 0.05, 1.5  # of the cut-off: the free-free modes that are searched
-
 
 def motion_problem(
     records: Sequence[Record],
@@ -180,7 +178,7 @@ def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, histor
     joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.parameters[-1]
     rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
-    row = row_of_frequencies(_LOWEST * cutoff, min(_HIGHEST * cutoff, FASTEST / problem.sample_time))
+    row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
     return history.solve(problem, search_spring(problem, values, row, problem.filtering, history).x)
 
 

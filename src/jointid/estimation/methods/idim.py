@@ -61,8 +61,6 @@ VARIANTS = {
 }
 """How IDIM was run, by its estimator."""
 
-_SLIGHT = 1e-3  # of the torque: a smaller force of that difference is none, as filters leave as much
-
 
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
@@ -221,7 +219,7 @@ def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
 
 def _shows_zeros(found: Solution) -> bool:
     """Test whether two encoders count from different zeros."""
-    slight = _SLIGHT * float(np.sqrt(np.mean(found.rows.Y**2)))
+    slight = 1e-3 * float(np.sqrt(np.mean(found.rows.Y**2)))  # as much is left by filters
     return bool(abs(found.values[-1]) > max(SHOWN * found.covariance.std[-1], slight))
 
 

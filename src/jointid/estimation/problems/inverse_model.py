@@ -62,19 +62,15 @@ POSITIONS = ("motor_position", "load_position")
 """Of the masses of a joint."""
 
 REST = 0.02
-"""Of the root mean square speed: a mass slower than that ..."""
+"""Of the root mean square speed: a mass slower than that rests, or sticks as it turns round."""
 
-_LONG = 3  # ... for so many samples rests, or sticks as it turns round
-_REACH = 3  # samples on each side that the window smears a rest over
 SAID = 0.02  # of a record: a larger share of rest is said
-_REST_LONG = 20  # samples in a row that are a rest before filtered positions
 SMEAR = 0.6  # of the position filter's period: from there on the errors of a filtered step add up to 0
 LARGEST = 2_400_000
 """Samples times the square of n masses or joints of a motion whose columns are made at once; see `split`."""
 
 _FEW = 0.1  # of the moving samples: if less were left without reversals, these stay
 TOLD = 0.05  # of a row's weight: what holds less is of rest
-_WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +144,7 @@ class MeasuredMotion:
 
         A row beside an excluded one contains some of it, and less noise.
         """
-        return self.decimate_columns(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > _WHOLE
+        return self.decimate_columns(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > 0.9
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Decimate one equation's columns, (samples, columns); rest is 0 or excluded."""
@@ -471,9 +467,7 @@ def measure_motion(
 # Samples at rest or at a reversal, at which sticking friction does not follow ``Fc sign(v)``
 
 
-def moving_weights(
-    velocity: FloatArray, long: int = _LONG, reach: int = _REACH, *, turning: bool = False
-) -> FloatArray:
+def moving_weights(velocity: FloatArray, long: int = 3, reach: int = 3, *, turning: bool = False) -> FloatArray:
     """Weights of samples: 0 while a mass rests, else 1.
 
     Args:
@@ -512,6 +506,6 @@ def steady_weights(
         few: share of the moving samples; if less were left without reversals, these stay.
     """
     reach = math.ceil(smear / (cutoff * sample_time))
-    long = max(_REST_LONG, 4 * reach)
+    long = max(20, 4 * reach)  # samples in a row that are a rest before filtered positions
     moving, steady = (moving_weights(velocity, long, reach, turning=turning) for turning in (False, True))
     return moving, moving if np.mean(steady) < few * np.mean(moving) else steady

@@ -30,16 +30,6 @@ from jointid.records.record import Timing
 from jointid.solvers.solve import least_squares
 from jointid.uncertainty.covariance import Covariance, Influence, white
 
-_CORRELATED = 2.0  # times the deviation of white residuals: neighbouring rows are alike
-_LATEST = 8.0  # half samples: beyond, the residual is no straight line
-_FLAT = 1e-6  # of the noise: a change of less power is rounding
-_LEAST = 1e-24  # of the torque's power: less noise is rounding
-
-_TINY = 1e-12  # of the torque: a size that no error falls below
-_SETTLED = 1e-8  # relative: values that change by less with new weights have settled
-_CLOSE = 1e-3  # deviations: likewise with new instruments
-_TURNS, _SIMULATIONS = 100, 25  # of weights, and of instruments, at most
-
 Estimator: TypeAlias = Literal["ols", "weighted", "iv"]
 
 Instruments: TypeAlias = Callable[[FloatArray], FloatArray]
@@ -136,7 +126,7 @@ def solve_rows(
     estimator: Estimator,
     known: Mapping[str, Parameter],
     instruments: Instruments | None = None,
-    turns: int = _TURNS,
+    turns: int = 100,
 ) -> Solution:
     """Solve for all parameters, some fixed or held by a bound.
 
@@ -192,13 +182,13 @@ def _settle(
     values[free] = _solve(left, found.scale)
     for make in {"ols": (), "weighted": (None,), "iv": (None, instruments)}[estimator]:
         found = replace(found, turns=0, converged=False)
-        while found.turns < (turns if make is None else _SIMULATIONS) and not found.converged:
+        while found.turns < (turns if make is None else 25) and not found.converged:
             Z, before = None if make is None else make(found.values)[:, free], found.values
             scale, values = _scale(rows, found.residual), before.copy()
             values[free] = _solve(left, scale, Z)
-            close = _SETTLED * np.abs(before[free])
+            close = 1e-8 * np.abs(before[free])  # relative: values that change by less with new weights have settled
             if Z is not None:
-                close = _CLOSE * white(left.W / scale[:, np.newaxis], (rows.Y - rows.W @ values) / scale).std
+                close = 1e-3 * white(left.W / scale[:, np.newaxis], (rows.Y - rows.W @ values) / scale).std
             settled = bool(np.all(np.abs(values - before)[free] <= close))
             found = Solution(rows, free, values, scale, Z, found.turns + 1, settled)
     return found
@@ -219,7 +209,7 @@ def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
     """Error size of each row's equation, (rows,); 1 for a joint."""
     if rows.equations > rows.driven:
         return np.ones(residual.size)
-    least, stated = _TINY * float(np.sqrt(np.mean(rows.Y**2))), np.any(rows.W != 0.0, axis=1)
+    least, stated = 1e-12 * float(np.sqrt(np.mean(rows.Y**2))), np.any(rows.W != 0.0, axis=1)
     powers, seen = (np.sum(one.reshape(rows.equations, -1), axis=1) for one in (residual**2, stated))
     sizes = np.sqrt(powers / np.maximum(seen, 1))  # a joint that rests leaves rows of zeros
     return np.repeat(np.maximum(sizes, least), residual.size // rows.equations)
@@ -229,13 +219,13 @@ def _read_timing(held: Solution, sampled: Solution) -> Solution:
     """Choose the held or sampled torque, and widen for remaining doubt."""
     each = np.array([held.residual, sampled.residual]).reshape(2, held.rows.driven, -1)
     power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1
-    each /= np.sqrt(np.maximum(power, _LEAST * np.mean(held.rows.Y**2)))[:, np.newaxis]
+    each /= np.sqrt(np.maximum(power, 1e-24 * np.mean(held.rows.Y**2)))[:, np.newaxis]  # less noise is rounding
     change = each[1] - each[0]
     size = float(np.sum(change**2))
     timing, away, where = Timing.HELD, 1.0, "the other reading is as possible"  # half samples that are open
-    if size > _FLAT:
-        best, spread = -float(np.sum(each[0] * change)) / size, 2 * _CORRELATED / np.sqrt(size)
-        best = float(np.clip(best, -_LATEST, _LATEST))
+    if size > 1e-6:  # of the noise: a change of less power is rounding
+        best, spread = -float(np.sum(each[0] * change)) / size, 4.0 / np.sqrt(size)  # neighbours are alike
+        best = float(np.clip(best, -8.0, 8.0))  # half samples: beyond, the residual is no straight line
         late = abs(best - 1.0) < abs(best)
         timing, away = Timing.SAMPLED if late else Timing.HELD, abs(best - late) + min(spread, 1.0)
         where = (

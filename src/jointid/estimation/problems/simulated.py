@@ -78,15 +78,7 @@ from jointid.simulation.start import INITIAL, Initial
 from jointid.solvers.solve import LevenbergMarquardt, solve
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
-_FEWEST = 16  # parameters whose derivatives are worth a thread
-_FAILED = 1e3  # times the measured torque: the error of a candidate that cannot be simulated
-_EXACT = 1e-7  # of the torques: an error that the simulation itself may have
-_MOVES = 0.05  # of the samples: a motor that moves less determines nothing
-_STILL = 20  # samples in a row, from the first on: a motor that rests there
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
-_BEGINNING = 4.0  # s of a record, along which the search begins
-_SHORTER = 0.7  # of a record: a beginning that saves time
-_FIRST_STATE = LevenbergMarquardt(1e-6, 6)  # of the links at the first sample, on which torques depend nearly in a line
 _LATE = Place(0, LOG_DELAY.name)
 _ROOM = Room()
 
@@ -284,12 +276,12 @@ class MotionLog:
         It suffices to find springs: of six joints and 45 s at 1 kHz a search took seven times as long along the whole.
         """
         samples = len(self.motion.a)
-        least = math.ceil(_BEGINNING / self.sample_time)
+        least = math.ceil(4.0 / self.sample_time)  # s of a record, along which the search begins
         if least >= samples:
             return self
         moved = np.cumsum(np.square(self.motion.a), axis=0)
         size = max(least, 1 + int(np.max(np.argmax(moved >= least / samples * moved[-1], axis=0))))
-        if size > _SHORTER * samples:
+        if size > 0.7 * samples:  # of a record: a beginning that saves time
             return self
         prescribed = self.prescribed.begin((size - 1) * self.parts)
         return replace(self, measured=self.measured[:size], motion=self.motion.cut(0, size), prescribed=prescribed)
@@ -352,13 +344,13 @@ def decimate_each(log: Log, each: Sequence[FloatArray]) -> FloatArray:
 
 def _filter_error(log: Log, run: Any) -> FloatArray:
     """Filtered torque error, (rows,); large for a failed run."""
-    error = log.measured - log.predict(run) if run.outcome is Outcome.FINISHED else _FAILED * log.measured
+    error = log.measured - log.predict(run) if run.outcome is Outcome.FINISHED else 1e3 * log.measured
     return decimate_each(log, list(error.T))
 
 
 def _in_blocks(of: Callable[[Any], FloatArray], keys: Sequence[Place]) -> FloatArray:
     """Return columns of parameters, (rows, keys), some at a time in threads."""
-    share = max(math.ceil(len(keys) / threads()), _FEWEST)
+    share = max(math.ceil(len(keys) / threads()), 16)  # parameters whose derivatives are worth a thread
     return np.column_stack(in_threads(of, [tuple(keys[i : i + share]) for i in range(0, len(keys), share)]))
 
 
@@ -460,7 +452,7 @@ class Simulated:
         if not (states := [i for i, place in enumerate(own.places) if place.name in LOAD_STATE]):
             return runs
         beginning = replace(self, parameters=replace(own.select(states), base=numbers))
-        return beginning.run(solve(beginning, _FIRST_STATE, np.zeros(len(states))).x)
+        return beginning.run(solve(beginning, LevenbergMarquardt(1e-6, 6), np.zeros(len(states))).x)  # nearly linear
 
     def left_by(self, numbers: Numbers) -> FloatArray:
         """Residual share of each joint's torque, (n,); infinite if simulation fails."""
@@ -510,7 +502,7 @@ class Simulated:
     @property
     def floor(self) -> float:
         """Norm of the simulation's own error, a lower limit for joints' errors."""
-        return _EXACT * float(np.max(self.sizes))
+        return 1e-7 * float(np.max(self.sizes))  # of the torques: an error that the simulation itself may have
 
     def weights(self, rows: int) -> FloatArray:
         """Return one over the size of each row's error, (rows,)."""
@@ -841,13 +833,13 @@ def _motion_log(robot: Robot, records: Sequence[Record], model: str, filtering: 
             'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
         )
     motion = measure_motion(robot, records, filtering, "The drive side of a robot", model=model, smear=_SMEAR)
-    still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < _MOVES]
+    still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < 0.05]
     if still:
         raise MethodError(
             f"The motor of {', '.join(still)} rests, or turns round, nearly all the time; expected a motion of every "
             "motor: move it, or leave its joint out of the model."
         )
-    resting = np.array([moving_weights(each, _STILL, 0)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
+    resting = np.array([moving_weights(each, 20, 0)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
     prescribed = prescribe(motion.q @ robot.coupling.T, motion.sample_time, PARTS_OF_ROBOT, robot.tree, resting)
     # What the filter takes from the motion it is to take from the torques, too, and from friction's own.
     cutoff = motion.filtering.position_cutoff

@@ -35,10 +35,6 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import number
 from jointid.uncertainty.covariance import LEVEL, Covariance, Sums, covariance_of, determine, total
 
-_MOST = 24  # segments
-_WINDOWS = 3  # in a segment at least, for each parameter
-_TOLD = 1.0 - 1e-6  # of a parameter that lies in the directions that it tells
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alone:
@@ -205,7 +201,7 @@ def drift(
         free: the parameters.
         units: of the parameters, by name.
     """
-    count = min(_MOST, len(windows) // (_WINDOWS * len(free)))
+    count = min(24, len(windows) // (3 * len(free)))  # three windows for each parameter or more
     if count < 2:
         return None
     names, fits, alone = [p.name for p in free], list[tuple[FloatArray, FloatArray, NDArray[np.bool_]]](), list[Alone]()
@@ -238,4 +234,4 @@ def drift(
 def _invert_root(A: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Symmetric inverse root of scaled J'J, and the determined parameters."""
     scale, values, vectors = determine(A)
-    return vectors / np.sqrt(values) @ vectors.T / scale[:, np.newaxis], np.sum(vectors**2, axis=1) > _TOLD
+    return vectors / np.sqrt(values) @ vectors.T / scale[:, np.newaxis], np.sum(vectors**2, axis=1) > 1.0 - 1e-6

@@ -36,10 +36,7 @@ if TYPE_CHECKING:
     from jointid.estimation.robots.simulated import IdentifiedRobot
     from jointid.records.record import Record
 
-_AT_LIMIT = 0.01  # of the periods of a controller: more is said
-_NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 _PERIOD = 1e-4  # s, at which two controllers without one of their own are compared
-_MOST = 64  # times that a position loop may be slower
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,7 +471,7 @@ def fingerprint(torque: FloatArray) -> str:
 def law_fingerprint(loop: ClosedLoop) -> str:
     """SHA-256 of a loop's controller at a fixed period, identifying its law."""
     slow = getattr(loop.controller, "position_period", None)  # a whole number of times as long, within bounds
-    law = loop.controller.law(slow / min(max(round(slow / _PERIOD), 1), _MOST) if slow else _PERIOD)
+    law = loop.controller.law(slow / min(max(round(slow / _PERIOD), 1), 64) if slow else _PERIOD)
     parts = (law.A, law.B, law.C, law.D, law.E, law.F, law.limits, np.array([law.period, law.delay]))
     return fingerprint(np.concatenate([np.ravel(part) for part in parts]))
 
@@ -608,14 +605,14 @@ def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArr
     """
     norms = np.linalg.norm(J, axis=0)
     size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
-    bounds, near = Bounds.of(free), _NEAR * size
+    bounds, near = Bounds.of(free), 1e-6 * size  # of a parameter's size: how near to a bound is at it
     held = {p.name: p.upper for p, at in zip(free, x >= bounds.upper - near, strict=True) if at}
     return held | {p.name: p.lower for p, at in zip(free, x <= bounds.lower + near, strict=True) if at}
 
 
 def warn_of_limit(share: float) -> tuple[str, ...]:
     """Warning of a controller at its limit in more than few periods."""
-    if share <= _AT_LIMIT:
+    if share <= 0.01:  # of the periods of a controller: more is said
         return ()
     said = f"the controller is at its limit in {100 * share:.1f} % of the periods"
     return (f"{said}, where the torque says nothing of the joint",)

@@ -26,17 +26,21 @@ def plain(value: Any, whole: bool = False) -> Any:
     if is_dataclass(value):
         names = _names(kind, whole)
         every = {name: kind.__name__ if name == "type" else plain(getattr(value, name), whole) for name in names}
-        return {name: part for name, part in every.items() if part != {} or isinstance(getattr(value, name), Mapping)}
-    if isinstance(value, Enum):
-        return str(value) if isinstance(value, StrEnum) else value.name.lower()
-    if isinstance(value, Mapping):
-        return {key: plain(item, whole) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    items = sorted(value) if kind is frozenset else value
-    return [plain(item, whole) for item in items] if isinstance(items, list | tuple) else value
+        return {name: part for name, part in every.items() if part != {} or getattr(value, name) == {}}
+    match value:
+        case StrEnum():
+            value = str(value)
+        case Enum():
+            value = value.name.lower()
+        case Mapping():
+            value = {key: plain(item, whole) for key, item in value.items()}
+        case np.ndarray() | np.generic():
+            value = plain(value.tolist())
+        case float() if not math.isfinite(value):
+            value = None
+        case list() | tuple() | frozenset():
+            value = [plain(item, whole) for item in (sorted(value) if kind is frozenset else value)]
+    return value
 
 
 @cache
@@ -62,7 +66,7 @@ def read(kind: Any, raw: Any, **given: object) -> Any:
     found: Any
     if is_dataclass(kind):
         hints = _hints(kind)
-        names = [field.name for field in fields(kind) if field.name in _require(raw, Mapping)]
+        names = [field.name for field in fields(kind) if field.name in _require(raw, dict)]
         own = {name: read(hints[name], raw[name]) for name in names if name not in given}
         found = kind(**own, **given)  # type: ignore[operator]
     elif origin in (Union, UnionType):
@@ -74,7 +78,7 @@ def read(kind: Any, raw: Any, **given: object) -> Any:
     elif origin is Literal:
         found = parts[parts.index(raw)]
     elif origin is not None:  # a mapping by names
-        found = {str(key): read(parts[1], item) for key, item in _require(raw, Mapping).items()}
+        found = {str(key): read(parts[1], item) for key, item in _require(raw, dict).items()}
     elif kind in (float, Any):
         found = raw if kind is Any else finite(raw)
     else:
@@ -86,14 +90,14 @@ _hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)
 
 
 def _require(raw: Any, kind: Any) -> Any:
-    if not isinstance(raw, kind) or (isinstance(raw, bool) and kind is not bool):
+    if type(raw) is not kind:
         raise ValueError(f"{raw!r:.60} is no {kind.__name__}")
     return raw
 
 
-def finite(value: object) -> float:
+def finite(value: Any) -> float:
     """Number of a JSON document; raise a ValueError unless it is finite."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if type(value) not in (int, float) or not math.isfinite(value):
         raise ValueError(f"{value!r:.60} is no number")
     return float(value)
 

@@ -52,28 +52,12 @@ SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
 MOST_DAMPED = 0.15
 """Damping ratio up to which bounds hold."""
 
-_TEST_SHARES = (0.1, 0.33, 0.6)
-# Times the cut-off, with each of those shares: the best counts, in every draw of the test as in the record. A mode
+# Times the cut-off, with each share of the load: the best counts, in every draw of the test as in the record. A mode
 # rings for 1 / (4 pi damping) periods, so that a coarser grid misses the one that is there; the last is a compliance.
 _TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
-_FAR = 0.5  # of the rigid joint's sum of squares: what chance cannot make of it with a few parameters more
-_LITTLE = 0.3  # of the rigid joint's sum of squares: a spring that explains less may be another one
-_SAME, _APART = 0.2, 3.0  # of a stiffness, and deviations: springs nearer than one of these are one
-_BOTH_SIDES = 1.42  # times a bound's threshold is an interval's at 95 %: 3.841 / 2.706
 
-_BAND = 0.15  # of the sampling frequency, in which a bound is searched: modes above the fitted band show there
-_SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
-_STEPS, _HALVINGS = 10, 3  # between them; and of the last step
 _SHARE = 0.33  # of the load, to begin with
-_SMALL, _LARGE, _BETWEEN = 0.1, 0.4, 0.25  # shares of the load to begin with beside a dip, whatever it has
-_SMALLEST, _LARGEST = 0.03, 0.9  # shares of the load that are tried
-_QUANTILE = 2.706  # of chi-square with one degree of freedom, at 90 %: one side of it is passed by one in twenty
 _HELD, _FREE, _NEAR, _SEEK = 2, 4, 1, 8  # evaluations of a fit: its mode held, free, near an end, beside a resonance
-_CHANCE = 6.0  # thresholds: what the best of many modes gains on a rigid joint in noise alone
-_EDGE = 1e-6  # of the softest mode that is tried
-_ALIKE = 0.04  # of a mode and a share: minima so near are one
-_TOLERANCE = 1e-4  # of a fit
-_ROUNDING = 1e-9  # damping of a step, in columns of norm 1: what several columns make alike is shared
 _SPRING = ("motor_inertia", "load_inertia", "stiffness", "damping")
 
 
@@ -155,9 +139,9 @@ def visible(
         # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
         springs = _springs(linear, values, error) or [(remains - error)[:, np.newaxis]]
         # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
-        fitted = left if left < _FAR * float(error @ error) else None
+        fitted = left if left < 0.5 * float(error @ error) else None
         test = flexible_against_rigid(error, slopes, springs, where, fitted)
-        if test.significant and test.gained < _LITTLE:
+        if test.significant and test.gained < 0.3:  # it may be another one
             made = profile_modes(linear, values, found, thorough=True)
             std = dict(zip([p.name for p in problem.free], known.covariance.std.tolist(), strict=True))
             reasons = _other_spring(made, found["stiffness"], std.get("stiffness", 0.0))
@@ -228,19 +212,19 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
         numbers = Numbers.of_joint(problem.joint, values)
         return problem.error(problem.runs_of(numbers, keep=False))
 
-    tried = in_threads(residual_at, list(itertools.product(_TEST_SHARES, _TEST_MODES)))
+    tried = in_threads(residual_at, list(itertools.product((0.1, 0.33, 0.6), _TEST_MODES)))
     size = 10 * float(np.linalg.norm(problem.filter(problem.measured)))
     return [(one - error)[:, np.newaxis] for one in tried if np.linalg.norm(one) < size]  # the others are unstable
 
 
 def _other_spring(made: ModeProfile, stiffness: float, std: float) -> list[str]:
     """Another admissible spring or rigid joint at 95 %, in a sentence."""
-    limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + _BOTH_SIDES * made.threshold
+    limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + 1.42 * made.threshold  # of both sides
     if made.stiff.least <= limit:  # also where it cannot be simulated, so that nothing is excluded
         return ["a joint that is nearly rigid explains the torque as well, within 95 %"]
     for end in made.minima:
         other = spring(end.at)["stiffness"]
-        if end.least <= limit and abs(other - stiffness) > max(_APART * std, _SAME * stiffness):
+        if end.least <= limit and abs(other - stiffness) > max(3.0 * std, 0.2 * stiffness):
             own = f"a spring of {other:.3g}, with its mode at {end.mode:.3g} Hz, explains the torque as well as the one"
             return [f"{own} of {stiffness:.3g} that was found, within 95 %"]
     return []
@@ -260,7 +244,7 @@ def describe(problem: ClosedLoopProblem, room: tuple[float, float], held: Mappin
     four = (
         Parameter("inertia", "ZZ", Quantity.INERTIA, lower=1e-300),
         Parameter("ratio", "zeta", Quantity.RATIO, lower=0.0, upper=MOST_DAMPED),
-        Parameter("share", "s", Quantity.RATIO, lower=_SMALLEST, upper=_LARGEST),
+        Parameter("share", "s", Quantity.RATIO, lower=0.03, upper=0.9),  # shares of the load that are tried
         Parameter("mode", "f", Quantity.GAIN, lower=room[0], upper=room[1]),
     )
     others = [p for p in problem.free if p.name not in _SPRING]
@@ -323,11 +307,11 @@ class ModeProfile:
         """Best joint near a start, with its share or mode held."""
         problem = describe(self.problem, self.room, held)
         bounds, x = Bounds.of(problem.free), np.array([start[p.name] for p in problem.free])
-        end = solve(problem, LevenbergMarquardt(_TOLERANCE, evaluations), x)
+        end = solve(problem, LevenbergMarquardt(1e-4, evaluations), x)
         cost = least = float(end.residual @ end.residual)
         if end.jacobian.any():
             room, widths = bounds.shift_to(end.x), bounds.upper - bounds.lower
-            step = damped_step(end.residual, end.jacobian, room, _ROUNDING, widths)
+            step = damped_step(end.residual, end.jacobian, room, 1e-9, widths)  # what columns make alike is shared
             promised = end.residual + end.jacobian @ step
             least = min(cost, float(promised @ promised))
         return Fit({**held, **_by_name(problem.free, end.x)}, cost, least)
@@ -350,16 +334,17 @@ def profile_modes(
     """
     sample_time, law, cutoff = problem.axis.sample_time, problem.axis.law, problem.filtering.cutoff
     assert cutoff is not None
-    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolve(sample_time, "flexible")
-    high = _STIFFEST * cutoff
-    low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
+    # Modes above the fitted band show on a wider one.
+    band = Filtering(cutoff=max(0.15 / sample_time, cutoff)).resolve(sample_time, "flexible")
+    high = 6.0 * cutoff
+    low = min(0.5 * crossover(law, rigid["inertia"]), 0.5 * high)
     start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": DAMPED, "share": _SHARE, "mode": high}
     free = {p.name: replace(p, free=True) for p in problem.parameters if p.name in _SPRING}
     made = ModeProfile(problem.with_log(filtering=band).replace_parameters(free), (low, high))
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
     made.threshold = _compute_cost_limit(made)
-    for mode in np.geomspace(high, low, _STEPS)[1:]:
+    for mode in np.geomspace(high, low, 10)[1:]:
         last = made.fit({**last.at, "ratio": max(last.at["ratio"], DAMPED)}, _HELD, mode=float(mode))
         made.points.append(last)
         if last.cost > 2 * made.stiff.cost:
@@ -369,7 +354,7 @@ def profile_modes(
     dips = [made.points[i - 1] for i in range(1, len(least) - 1) if least[i] < min(least[i - 1], least[i + 1], near)]
     ends = [made.fit(point.at, _FREE) for point in dips]
     for point in dips if thorough else ():
-        beside = {**point.at, "ratio": DAMPED, "share": _LARGE if point.at["share"] < _BETWEEN else _SMALL}
+        beside = {**point.at, "ratio": DAMPED, "share": 0.4 if point.at["share"] < 0.25 else 0.1}
         ends.append(made.fit(beside, _SEEK))
     whole = found["motor_inertia"] + found["load_inertia"]
     ratio = min(damping_ratio(found), MOST_DAMPED)
@@ -378,7 +363,7 @@ def profile_modes(
         ends.append(made.fit({**start, **found, **own}, _FREE))
     for end in sorted(ends, key=lambda end: end.cost):
         same = (abs(end.mode / one.mode - 1) + abs(end.at["share"] / one.at["share"] - 1) for one in made.minima)
-        if not any(apart < _ALIKE for apart in same):
+        if not any(apart < 0.04 for apart in same):  # of a mode and a share: minima so near are one
             made.minima.append(end)
     return made
 
@@ -392,6 +377,8 @@ def damping_ratio(values: Mapping[str, float]) -> float:
 
 def _compute_cost_limit(made: ModeProfile) -> float:
     """Chi-square threshold on the cost, scaled for the residual's autocorrelation.
+
+    It is the 90 % quantile for one degree of freedom: one in twenty passes it on one side.
 
     The ratio of the compliance's robust deviation to that of a white residual is taken with a stiff spring and the
     friction on the motor's side, where the load's friction has no further effect. If that joint explains nothing, as
@@ -408,7 +395,7 @@ def _compute_cost_limit(made: ModeProfile) -> float:
     bent = problem.residual(softer.turn(x)) - error
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
-    return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)
+    return 2.706 * ratio**2 * float(error @ error) / (error.size - x.size)
 
 
 def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessBound:
@@ -420,7 +407,7 @@ def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessB
         floor: Hz, of a mode that is excluded at a smaller share: of a larger one it moves more of the torque.
     """
     limit, own = made.stiff.cost + made.threshold, dict[float, Fit]()
-    if made.minima and made.stiff.cost - made.minima[0].cost > _CHANCE * made.threshold:
+    if made.minima and made.stiff.cost - made.minima[0].cost > 6.0 * made.threshold:  # beyond chance
         best = own[made.minima[0].mode] = made.fit({**made.minima[0].at, "share": share}, _FREE, share=share)
         limit = min(limit, best.cost + made.threshold)
     softest, rejected = made.stiff, made.room[0]
@@ -433,9 +420,9 @@ def bound_stiffness(made: ModeProfile, share: float, floor: float) -> StiffnessB
             softest = tried
             break
         rejected = max(rejected, tried.mode)
-    if softest.mode <= rejected * (1 + _EDGE):
+    if softest.mode <= rejected * (1 + 1e-6):  # of the softest mode that is tried
         return StiffnessBound(share, None, None)
-    for _ in range(_HALVINGS):
+    for _ in range(3):
         middle = math.sqrt(rejected * softest.mode)
         tried = made.fit(softest.at, _NEAR, share=share, mode=middle)
         if tried.least <= limit:

@@ -55,13 +55,7 @@ MISFIT = 2.0
 """Standard deviations of an estimate, rms, up to which bodies fit it."""
 
 _THIN = 1e-6  # of a body's second moments: what a rod or a plate is given across itself
-_FLOOR = 1e-10  # of the largest variance of a correlation: rounding
-_SETTLED = 1e-6  # relative, of the search
-_TIGHTER = 3.0  # times, from search to search, that errors are smaller
-_NEARLY = 1e-2  # relative, of a search whose errors are not yet those of the estimate
 
-_STEP = 1e-6  # of a difference, relative
-_TOGETHER = 1e-8  # of the largest: a direction in which a payload's ten parameters change nothing
 _ROWS = (
     *(("mass", "kg"), ("centre x", "m"), ("centre y", "m"), ("centre z", "m")),
     *((f"inertia {axes}", "kg m2") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
@@ -141,8 +135,8 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
     # Small errors make a narrow curved valley, in which one search stops far from the model: a wrist of 2 m.
     larger = max(misfit_of(x), 1.5)
     while larger > 1.0:
-        larger = max(larger / _TIGHTER, 1.0)
-        settled = _NEARLY if larger > 1.0 else _SETTLED
+        larger = max(larger / 3.0, 1.0)  # times, from search to search, that errors are smaller
+        settled = 1e-2 if larger > 1.0 else 1e-6  # relative; the last search has the errors of the estimate
         x = least_squares(
             residual, x, jacobian, bounds=(lower, np.inf), args=(larger,), x_scale="jac", ftol=settled, xtol=settled,
             max_nfev=1000,
@@ -196,7 +190,7 @@ def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
 def whitening(covariance: Covariance) -> FloatArray:
     """Return the matrix that makes errors of this covariance white, (parameters, parameters)."""
     values, vectors = np.linalg.eigh(covariance.correlation)
-    return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / _positive(covariance.std))
+    return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))).T / _positive(covariance.std))
 
 
 def _positive(std: FloatArray) -> FloatArray:
@@ -227,7 +221,7 @@ class Payload(Documented):
     def properties(self) -> tuple[FloatArray, FloatArray]:
         """Mass, centre and inertia at the centre, (10,), and deviations, (10,)."""
         values = _convert(self.inertial)
-        steps = _STEP * np.maximum(np.abs(self.inertial), self.covariance.std)
+        steps = 1e-6 * np.maximum(np.abs(self.inertial), self.covariance.std)  # of a difference, relative
         slopes = np.array(
             [(_convert(self.inertial + d) - _convert(self.inertial - d)) / (2 * d.max()) for d in np.diag(steps)]
         ).T
@@ -340,7 +334,7 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
     link, last = part.model.links[-1].name, len(SYMBOLS) * (len(part.model) - 1)
     columns = columns[:, last : last + len(SYMBOLS)]
     _, sizes, directions = np.linalg.svd(columns / column_norms(columns), full_matrices=True)
-    hidden = directions[int(np.sum(sizes > _TOGETHER * sizes[0])) :]
+    hidden = directions[int(np.sum(sizes > 1e-8 * sizes[0])) :]
     if len(hidden):
         lost = [SYMBOLS[k] for k in np.flatnonzero(np.max(np.abs(hidden), axis=0) > 0.2)]
         raise MethodError(

@@ -76,15 +76,8 @@ from jointid.uncertainty.identifiability import find_separable
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
-_OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
-_FALLING = 0.7  # of its error before a step: a descent that is on its way
 _NONE = 1e-9  # N m: bounds of a torque that nothing tells
-_COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first descent leads nowhere
-_FIRST = 12  # evaluations of a rough descent, mostly enough
 _ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
-_FINE = 3e-5  # tolerance at last
-_LAST = 0.1  # of the sum of squares in units of the noise, a step's worth there: all parameters move by 0.3 deviations
-_TURNS, _STEADY = 4, 0.4  # descents with new sizes of the joints' errors, and their change that asks for no other
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +200,7 @@ def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: flo
     for parameter, place, value, share in zip(problem.free, problem.keys, x, std, strict=True):
         if place.name == "stiffness":
             joint, stiffness = parameter.name.rpartition(".")[0], math.exp(value)
-            shown = 0.0 < share < most and value < parameter.upper - _OFF
+            shown = 0.0 < share < most and value < parameter.upper - 1e-3  # off its bound
             least = stiffness / (1.0 + INTERVAL * share)
             found.append(SpringVerdict(joint, shown, stiffness, stiffness * float(share), least))
     return tuple(found)
@@ -344,7 +337,7 @@ class _Search:
 
         def begin(hertz: FloatArray | float) -> Solved:
             x = rough.parameters.to_search_variables(start.values(hertz))
-            return _descend(rough, x, _ROUGH, history, _FIRST)
+            return _descend(rough, x, _ROUGH, history, 12)  # evaluations of a rough descent, mostly enough
 
         end = begin(hertz)
         if end.solution.status is Status.NOT_EVALUABLE:
@@ -352,7 +345,7 @@ class _Search:
                 f"The robot cannot be simulated where its search begins: {outcome_of(rough.run(end.x)).value}. "
                 "Give other frequencies, or a record in which all joints move more."
             )
-        for common in _COMMON:
+        for common in 11.25, 16.875, 25.3125:  # Hz of all springs, where the first descent leads nowhere
             if common < start.stiff and not _leads_on(end) and end.norm <= without:
                 end = min(end, begin(common), key=lambda one: one.norm)
         lost = not end.solution.converged and end.norm > without
@@ -443,10 +436,11 @@ def _descend(
 
 def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
     """Descend to full tolerance, re-estimating the joints' errors until they settle."""
-    for _ in range(_TURNS):
+    for _ in range(4):
         weighed = replace(problem, sigma=_reweight(end).sigma)
-        end = _go_on(weighed, end, (_FINE, _LAST / end.solution.residual.size), history)
-        if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < _STEADY):
+        # A step worth less than a tenth, in units of the noise, moves all parameters by 0.3 deviations.
+        end = _go_on(weighed, end, (3e-5, 0.1 / end.solution.residual.size), history)
+        if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < 0.4):
             break
     return conclude(end, history.counted.evaluations)
 
@@ -461,7 +455,7 @@ def _leads_on(end: Solved) -> bool:
     """Whether a descent still progresses, or leaves little of each joint's torque."""
     trace = end.solution.trace
     if not end.solution.converged:
-        return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
+        return len(trace) > 1 and trace[-1].norm < 0.7 * trace[-2].norm
     left = end.problem.norms(linearise_again(end)[0])
     return not np.any(left > LITTLE * end.problem.sizes)
 
