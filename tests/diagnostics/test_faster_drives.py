@@ -1,6 +1,7 @@
 """A drive that runs faster than its log, and whose period is not declared: its law is simulated at the log's rate."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import jointid as ji
 from jointid.diagnostics.changes import PERIOD, list_variants
 from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.result.verdict import Subject
-from jointid.models.controllers import PD, Cascade
+from jointid.models.controllers import PD, Cascade, FirstOrder
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.resampling import at_period
@@ -108,39 +109,34 @@ def test_a_reference_that_is_filled_in_otherwise_is_named(law: Cascade | PD, way
     assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
 
 
-def _said(estimate: ji.Estimate) -> str:
-    """Return what the check of the loop says first."""
-    return next(str(one) for one in estimate.checks if one.name is Subject.LOOP)
-
-
-def _averaged(mean: float, coarse: int = 1) -> tuple[Record, ClosedLoop, Cascade]:
-    """Return the log of a drive that averages its reference, its loop without the mean, and its law with it.
+def _late(coarse: int = 1, **late: Any) -> tuple[Record, ClosedLoop, Cascade]:
+    """Return the log of a drive that is late by a mean or a lag, its loop without it, and its law with it.
 
     Its setpoints are refreshed every `coarse` samples, and the log repeats them.
     """
-    law = replace(CASCADE, period=LOG, delay=LOG, reference_average=mean)
+    law = replace(CASCADE, period=LOG, delay=LOG, **late)
     setpoints = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, coarse * LOG, duration=6.0)
     loop = ClosedLoop(RigidJoint("revolute"), law)
     record = simulated_record(loop, np.repeat(setpoints, coarse), RIGID, sample_time=LOG, name="drive")
     noise = 0.05 * np.random.default_rng(1).standard_normal(record.torque.values.size)
     torque = replace(record.torque, values=record.torque.values + noise)
     shown = replace(record, torque=torque, motor_position=None, load_position=None)
-    return shown, replace(loop, controller=replace(law, reference_average=0.0)), law
+    return shown, replace(loop, controller=replace(CASCADE, period=LOG, delay=LOG)), law
 
 
-@pytest.mark.parametrize("mean", [8e-3, pytest.param(20e-3, marks=pytest.mark.slow)])
-def test_a_reference_that_the_drive_averages_is_named_with_its_time(mean: float) -> None:
-    record, loop, law = _averaged(mean)
-    said = _said(ji.identify(record, loop))
-    assert said.startswith(f"the drive averages the reference over {1e3 * mean:.2g}")
-    assert f"declare reference_average = {mean:g}" in said
+@pytest.mark.parametrize(
+    ("name", "value", "time"), [("reference_average", 8e-3, "8.00"), ("torque_filters", (FirstOrder(2e-3),), "2.01")]
+)
+def test_a_mean_and_a_lag_of_the_current_loop_are_named_with_their_time(name: str, value: Any, time: str) -> None:
+    record, loop, law = _late(**{name: value})
+    assert f" {time} ms: declare {name}" in ji.identify(record, loop).about(Subject.LOOP)[0].words
     right = ji.identify(record, replace(loop, controller=law))
     assert right.answer.reliable
     assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
 
 
 def test_a_reference_that_is_filled_in_as_declared_and_a_coarse_one_that_is_held_are_not_blamed() -> None:
-    for record, loop in (_filled_in("linear"), _averaged(0.0, coarse=4)[:2]):
+    for record, loop in (_filled_in("linear"), _late(coarse=4)[:2]):
         assert faults_of(identify(record, loop), record).as_declared
 
 

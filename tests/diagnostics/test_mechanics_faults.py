@@ -20,6 +20,7 @@ from jointid.diagnostics.suspects import (
     FaultSignature,
     FaultTest,
     Finding,
+    OtherLaw,
     ParameterShift,
     list_signatures,
 )
@@ -224,10 +225,13 @@ def test_what_the_user_holds_is_not_tried_otherwise() -> None:
     assert not found & {"cubic_spring", "backlash", "second_mode"}
 
 
-def test_a_fault_of_the_mechanics_that_is_not_excluded_widens_the_intervals() -> None:
+def test_what_is_not_excluded_widens_the_intervals() -> None:
     test = FaultTest(FAULTS["cubic_spring"], (), 0.0, 0.3, 0.1, 0.2, 0.3)
     suspected = Finding(test, None, (), {"stiffness": ParameterShift(-20.0, -2.5), "damping": ParameterShift(0.1, 0.2)})
     check = AxisFaults((), (test,), {}, suspected=(suspected,))
     *_, wider = widen_for_faults(check, {})
     assert wider[0] == {"stiffness": 20.0, "damping": 0.1}
     assert not any(by for by, _ in widen_for_faults(replace(check, suspected=()), {}))
+    law = OtherLaw(FAULTS["delay"], "it is late", "a time")
+    late = replace(suspected, test=replace(test, fault=law.fault), law=law, alike=(law,))
+    assert next(widen_for_faults(AxisFaults((late,), (test,), {}), {})) == ({"stiffness": 20.0, "damping": 0.1}, "")

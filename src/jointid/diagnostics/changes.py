@@ -7,15 +7,10 @@ gear's ratio or its square the wrong side of the gear.
 
 To add one, write its correction, its text and its row.
 
-Laws that a drive may run instead of the declared one, with the same settings, are rows, too. An integral sums the
-errors of earlier periods, or also that of the present one; manuals seldom state it. With the present one a PI of 1 kHz
-and 20 ms is 5 % stiffer, and a stiffness that is identified under the other law is wrong by 6 % without a worse fit. A
-law with the velocity of a sensor or an observer reads the same velocity half a period earlier.
-
-Without a declared period that of the log is used. A faster drive reacts earlier, by up to half a sample of the log, and
-the identified joint is another one. A drive that is faster than its reference holds it, draws lines through it, or
-cubics. It may also see its reference late, or average it over a time, which makes it later by half of that. To add one,
-yield it in `list_variants`.
+Laws that a drive may run instead of the declared one, with the same settings, are rows, too; `list_variants` yields
+them. An integral may sum up the present error: a PI of 1 kHz and 20 ms is then 5 % stiffer, and the stiffness that is
+identified under the other law wrong by 6 % without a worse fit. A faster drive reacts earlier, and fills its reference
+in. A reference that is averaged is late by half that time, as one is behind a torque that lags in the current loop.
 """
 
 from __future__ import annotations
@@ -29,7 +24,7 @@ from typing import Any, NamedTuple
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
-from jointid.diagnostics.suspects import REFERENCE_DELAY, Fault, OtherLaw, name_number
+from jointid.diagnostics.suspects import REFERENCE_DELAY, TORQUE_FILTER, Fault, OtherLaw, name_number
 from jointid.models.controllers import PD, FirstOrder, numbers_of, unit_of_number, with_numbers, with_present_sample
 from jointid.models.controllers.servo_base import Interpolation
 from jointid.models.joints import ClosedLoop
@@ -382,8 +377,8 @@ AVERAGED = Fault(
 )  # fmt: skip
 WHOLE = tuple(one.name for one in INTERPOLATIONS.values())
 """Names of those that a drive has or has not, so that their size is 1."""
-OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, *INTERPOLATIONS.values())
-"""Those that differ in what they make of the reference."""
+OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, TORQUE_FILTER, *INTERPOLATIONS.values())
+"""Those that differ in what they make of the reference, and a torque that is as late."""
 OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *OF_REFERENCE))
 
 
@@ -441,6 +436,13 @@ def average(law: Any, mean: float) -> OtherLaw:
     """Return a law that averages its reference over a time, s."""
     said = f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
     return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
+
+
+def lag_torque(law: Any, constant: float) -> OtherLaw:
+    """Return a law whose torque passes a filter of first order, as through a current loop; time constant in s."""
+    said = f"the torque passes a filter, as the current loop is one, of first order with {number(1e3 * constant, 3)} ms"
+    remedy = f'torque_filters = [{{ kind = "first_order", time_constant = {constant:.4g} }}]'
+    return OtherLaw(TORQUE_FILTER, said, remedy, replace(law, torque_filters=(FirstOrder(constant),)))
 
 
 def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:

@@ -149,13 +149,7 @@ def explain_misfit(
 ) -> Causes | None:
     """Find causes of a misfit; None without a misfit or near cause.
 
-    A large misfit without a cause is reported as well, so that no other test is blamed for it.
-
-    Args:
-        estimate: of the record, under a loop.
-        record: that it is from.
-        findings: of the loop check, None if the loop could not be checked.
-        progress: called with each step.
+    A large misfit without a cause is reported as well, so that no other test is blamed. `findings`: None if unchecked.
     """
     loop, error = estimate.settings.loop, estimate.fit.filtered_error
     assert loop is not None and record.reference is not None
@@ -170,8 +164,8 @@ def explain_misfit(
     strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.rows)
     if not (poor or strained or find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
-    left = next((one.left for one in findings or () if one.left is not None), None)
-    if left is not None and not gross and left <= _MORE_OF_A_LAW * responses:
+    left = next((one.left for one in findings or () if one.left is not None), math.inf)
+    if (not gross or any(one.law for one in (findings or ())[:1])) and left <= _MORE_OF_A_LAW * responses:
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None
@@ -299,17 +293,13 @@ def list_cases(declared: Case) -> list[Case]:
         for case in change.correct(declared):
             if record.computed and case.record.torque is not record.torque:
                 continue
-            excluded = law is not None and law.holds and _is_excluded(case, record, loop)
-            found += [] if excluded or case.free in declared.beside else [replace(case, change=change)]
+            excluded = case.free in declared.beside
+            if law is not None and law.holds and case.record is record:
+                excluded |= all(excludes(record, loop, one.controller) for one in case.loops)
+            elif law is not None and law.holds:
+                excluded |= not getattr(compare_law(case.record, case.loop), "holds", True)
+            found += [] if excluded else [replace(case, change=change)]
     return [declared, *sorted(found, key=lambda one: len(one.starts))]  # the cheapest first
-
-
-def _is_excluded(corrected: Case, record: Record, loop: ClosedLoop) -> bool:
-    """Test whether the motor position excludes a correction."""
-    if corrected.record is record:
-        return all(excludes(record, loop, one.controller) for one in corrected.loops)
-    law = compare_law(corrected.record, corrected.loop)
-    return law is not None and not law.holds
 
 
 def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:

@@ -296,9 +296,7 @@ def list_undeclared(controller: Any, sample_time: float, axis: int = 0) -> Itera
 def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     """Yield the shifts of parameters by undeclared elements that are not excluded.
 
-    Args:
-        fit: of a joint, or of a robot, under controllers.
-        found: its diagnosis; faults that it names are to be corrected, and widen nothing.
+    Faults that the diagnosis names are to be corrected, and widen nothing.
     """
     torques, part, names = found.torques, fit.robot, list[str]()
     log: Any = None
@@ -355,15 +353,12 @@ def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) 
     """Yield parameter shifts by faults that a check found or suspects.
 
     Faults of loop and log that move a parameter by more than a thousandth widen no interval: either they are
-    corrected, or the joint itself has the same effect.
-
-    Args:
-        check: of loop and log.
-        rows: of the parameters, by name.
+    corrected, or the joint itself has the same effect. Laws that the record does not tell apart widen it.
     """
     for finding in check.findings:
         moved = {name: abs(change.by) for name, change in finding.changes.items()}
-        if not finding.test.fault.mechanical:
+        open_law = finding.law is not None and (finding.alike or finding.rivals)
+        if not (finding.test.fault.mechanical or open_law):
             moved = {
                 name: 0.5 * by
                 for name, by in moved.items()

@@ -342,10 +342,10 @@ class SolvedLoop:
         likely = (one for one in self.tests if one.p_value <= LEVEL and one.strength**2 > least)
         return tuple(one for one in likely if one is not test)
 
-    def shifts_to(self, values: Mapping[str, float]) -> dict[str, ParameterShift]:
-        """Return the shifts of the joint's parameters to other values."""
+    def shifts_to(self, *each: Mapping[str, float]) -> dict[str, ParameterShift]:
+        """Return the shifts of the joint's parameters to other values, the largest of several."""
         found = {}
         for p, x in zip(self.problem.free_joint, self.x.tolist(), strict=False):
-            by, std = values[p.name] - x, self.std.get(p.name, 0.0)
+            by, std = max((values[p.name] - x for values in each), key=abs), self.std.get(p.name, 0.0)
             found[p.name] = ParameterShift(by, by / std if std > 0 else 0.0, p.symbol, self.problem.units[p.name])
         return found

@@ -6,11 +6,10 @@ named beside the first. If the likeliest is impossible, something else is wrong.
 A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
 law reproduces the logged torque from a logged motor position, faults of law and log that it excludes are not named.
 
-Each other law of the drive is screened first by one simulation under it with the same joint. Two laws
-are distinguished by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again under the
-other law, and the residual is regressed on the change of the fit. The coefficient is 0 under the declared law and 1
-under the other one. A record may exclude neither. So all laws that it allows are compared, and the likeliest is chosen;
-of equals the simplest. One that moves a parameter out of its interval without being excluded is undecided.
+Each other law of the drive is screened by one simulation at the same joint, then identified under, and judged by a J
+test (Davidson and MacKinnon, Econometrica 49, 1981): the residual, regressed on the change of the fit, has the
+coefficient 0 under the declared law and 1 under the other. Of the laws that the record allows the likeliest is chosen;
+of equals the plainest. One that moves a parameter out of its interval without being excluded is undecided.
 
 Of a robot each fault adds a column to the torque of one axis, or of all of them. A wrong scale or a delay of one log
 shows by the other joints, which share the inertias of the links. So the rows of all joints are regressed together, each
@@ -43,6 +42,7 @@ from jointid.diagnostics.changes import (
     PRESENT_SAMPLE,
     WHOLE,
     average,
+    lag_torque,
     list_variants,
 )
 from jointid.diagnostics.model_free import excludes, offer
@@ -61,7 +61,7 @@ from jointid.estimation.descent import descend, least_squares
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import numbers_of, with_numbers
-from jointid.records.record import Record
+from jointid.records.record import Record, Tap
 from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import INTERVAL, ROUNDING
@@ -137,10 +137,7 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
 def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
     """Finding of a test, with rivals' shifts, and the corrected problem."""
     (after, values), rivals = _correct(found, test), found.list_rivals(test)
-    changes = found.shifts_to(values)
-    for one in rivals:  # what the record does not exclude may be the cause: the larger shift counts
-        beside = found.shifts_to(_correct(found, one)[1])
-        changes = {name: max(by, beside[name], key=lambda shift: abs(shift.by)) for name, by in changes.items()}
+    changes = found.shifts_to(values, *(_correct(found, one)[1] for one in rivals))  # any of them may be the cause
     left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
     if len(after.corrected) > len(found.corrected):
         in_joint = values.keys() != after.problem.units.keys()
@@ -295,8 +292,9 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
             possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST
             if not (step.p_value <= LEVEL if first.fault in _SELDOM else possible):
                 continue
-            for other in _list_late(problem, x) if first.fault is AVERAGED else (first, *others):
-                one = _test_law(found, other, record, start)
+            late = first.fault is AVERAGED
+            for other, near in _list_late(problem, x) if late else ((one, None) for one in (first, *others)):
+                one = _test_law(found, other, record, start if near is None else near)
                 if one is None or (other.fault is PERIOD and not one.possible):
                     break
                 start = one.x
@@ -305,14 +303,28 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
     return tests
 
 
-def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> tuple[OtherLaw, ...]:
-    """Averaged and delayed reference, by the identified delay of the reference."""
+def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[OtherLaw, FloatArray]]:
+    """Averaged and delayed reference, by its identified delay, and a torque that lags; each with its first parameters.
+
+    A measured current lags behind its setpoint, and so the lag comes first where the torque is one.
+    """
     law: Any = problem.loop.controller
-    wider, period = problem.freeing(REFERENCE_DELAY.name), float(problem.axis.law.period)
-    late = wider.values(descend(wider, wider.vector(problem.values(x)), _TOLERANCE).x)[REFERENCE_DELAY.name]
-    words = f"the law sees the reference {number(1e3 * late, 3)} ms late"
+    period = float(problem.axis.law.period)
+
+    def find(controller: Any, name: str, start: float, near: FloatArray) -> tuple[float, FloatArray]:
+        wider = problem.under(controller).freeing(name)
+        found = wider.values(descend(wider, wider.vector(problem.values(near) | {name: start}), _TOLERANCE).x)
+        return found[name], problem.vector(found)
+
+    late, near = find(law, REFERENCE_DELAY.name, law.reference_delay, x)
+    words, more = f"the law sees the reference {number(1e3 * late, 3)} ms late", late - law.reference_delay
     delayed = OtherLaw(REFERENCE_DELAY, words, f"reference_delay = {late:.4g}", replace(law, reference_delay=late))
-    return average(law, period * max(round(2.0 * (late - law.reference_delay) / period + 1.0), 2)), delayed
+    laws = [(average(law, period * max(round(2.0 * more / period + 1.0), 2)), near), (delayed, near)]
+    if more > 0.0 and not getattr(law, "torque_filters", True):
+        with contextlib.suppress(JointidError):  # the lag vanishes
+            lag, near = find(lag_torque(law, more).controller, "torque_filters.0.time_constant", more, near)
+            laws.insert(0 if problem.axis.tap is Tap.MEASURED else len(laws), (lag_torque(law, lag), near))
+    return laws
 
 
 def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
@@ -328,7 +340,8 @@ def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] =
     """Finding of another law, with its shifts and equally likely laws."""
     left = other.problem.filtered_error(other.problem.residual(other.x))
     others = tuple(one.law for one in sorted(alike, key=lambda one: -one.likelihood))
-    value, shifts = 1 / other.law.rate if other.law.rate else None, found.shifts_to(other.problem.values(other.x))
+    shifts = found.shifts_to(*(one.problem.values(one.x) for one in (other, *alike)))
+    value = 1 / other.law.rate if other.law.rate else None
     return Finding(other.test, value, found.list_rivals(other.test), shifts, other.law, left, others)
 
 
