@@ -151,21 +151,21 @@ def explain_misfit(
 
     A large misfit without a cause is reported as well, so that no other test is blamed. `findings`: None if unchecked.
     """
-    loop, error = estimate.settings.loop, estimate.fit.filtered_error
+    loop, error, rows = estimate.settings.loop, estimate.fit.filtered_error, estimate.rows
     assert loop is not None and record.reference is not None
-    # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
-    refused = any(p.value is None for p in estimate.rows)
     gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
     poor = gross or error > _SUSPICIOUS
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     responses = find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
-    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.rows)
+    # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
+    strained = all(p.value is not None for p in rows) and any(p.of_joint and p.at_bound is not None for p in rows)
     if not (poor or strained or find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
-    left = next((one.left for one in findings or () if one.left is not None), math.inf)
-    if (not gross or any(one.law for one in (findings or ())[:1])) and left <= _MORE_OF_A_LAW * responses:
+    alone = len(findings or ()) == 1  # a number beside a second fault is not all that is wrong
+    fits = [f.left for f in findings or () if f.left is not None and (alone or f.law or f.value is None)]
+    if (not gross or any(one.law for one in (findings or ())[:1])) and fits and fits[0] <= _MORE_OF_A_LAW * responses:
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None
