@@ -9,7 +9,7 @@ import pytest
 
 from jointid.common.arrays import orthonormal_basis, triangle
 from jointid.common.parameters import Parameter, Quantity
-from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, solve
+from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, solve
 from tests.solvers.nist import REGRESSIONS, Array, Certified
 
 TIGHT = 1e-13
@@ -20,11 +20,9 @@ DIGITS = 6.0  # of the worst parameter; the hardest, MGH09, gives 6.4
 @pytest.mark.parametrize("which", [0, 1], ids=["far", "near"])
 @pytest.mark.parametrize("regression", REGRESSIONS, ids=lambda r: r.name)
 def test_least_squares_gives_the_certified_digits(regression: Certified, which: int) -> None:
-    if (regression.name, which) == ("BoxBOD", 0):  # a whole step leads to where nothing can be evaluated
-        return
     end = solve(regression, SOLVER, np.array(regression.starts[which]))
     assert regression.digits(end.x) > DIGITS
-    assert end.converged
+    assert end.status.converged
     assert end.residual @ end.residual == pytest.approx(regression.square, rel=1e-9)
     assert end.jacobian == pytest.approx(regression.linearise(end.x)[1], rel=1e-9)
 
@@ -37,7 +35,7 @@ def test_the_order_of_the_rows_decides_nothing(regression: Certified) -> None:
         order = rng.permutation(regression.y.size)
         permuted = replace(regression, x=regression.x[order], y=regression.y[order])
         end = solve(permuted, SOLVER, np.array(regression.starts[1]))
-        assert end.converged and regression.digits(end.x) > DIGITS
+        assert end.status.converged and regression.digits(end.x) > DIGITS
 
 
 @dataclass(frozen=True)
@@ -58,20 +56,13 @@ class Rosenbrock:
 START = np.array([-1.2, 1e-12])
 
 
-def test_a_search_is_over_where_its_residual_is_as_good_as_none() -> None:
-    """At a residual of 0 the error falls on to rounding, unless it is said what is enough."""
-    ends = [solve(Rosenbrock(), LevenbergMarquardt(1e-8, 500, enough=enough), START) for enough in (0.0, 1e-3)]
-    assert ends[1].converged and ends[1].evaluations < ends[0].evaluations
-    assert np.linalg.norm(ends[1].residual) <= 1e-3 and "no more than the problem itself may err" in ends[1].message
-
-
 def test_a_step_that_promises_nothing_is_not_made() -> None:
     """Near its end a search that asks what a step is worth evaluates a point less, and ends at the same place."""
     regression, made = REGRESSIONS[0], {}
     for worth in (0.0, 1e-5):
         counted = Counted(regression)
         end = solve(counted, LevenbergMarquardt(1e-4, worth=worth), np.array(regression.starts[1]))
-        assert end.converged
+        assert end.status.converged
         made[worth] = counted.evaluations
         np.testing.assert_allclose(end.x, regression.values, rtol=1e-2)
     assert made[1e-5] < made[0.0]
@@ -79,17 +70,16 @@ def test_a_step_that_promises_nothing_is_not_made() -> None:
 
 def test_a_curved_valley_is_followed_to_its_end() -> None:
     end = solve(Rosenbrock(), SOLVER, START)
-    assert end.converged and end.evaluations < 120
+    assert end.status.converged and end.evaluations < 120
     assert end.x == pytest.approx([1.0, 1e-12], rel=1e-6)
-    norms = [step.norm for step in end.trace]
-    assert all(after <= before for before, after in itertools.pairwise(norms))
+    assert all(after <= before for before, after in itertools.pairwise(end.trace))
 
 
 def test_a_bound_that_holds_is_reached() -> None:
     for start in (START, np.array([3.0, 1e-12])):
         end = solve(Rosenbrock(upper=0.5), SOLVER, start)
         assert end.x == pytest.approx([0.5, 0.25e-12], rel=1e-6)
-        assert end.converged
+        assert end.status.converged
     assert end.x[0] == 0.5
 
 
@@ -104,7 +94,7 @@ class Sum(Rosenbrock):
 
 def test_parameters_that_cannot_be_told_apart_do_no_harm() -> None:
     end = solve(Sum(), SOLVER, np.array([1.0, 0.5]))
-    assert end.converged and np.abs(end.x).max() < 10.0
+    assert end.status.converged and np.abs(end.x).max() < 10.0
     assert end.x.sum() == pytest.approx(4.0)
 
 
@@ -138,6 +128,7 @@ def test_a_loop_that_runs_away_ends_a_search_and_no_program(size: float) -> None
 PROVOKED: dict[Status, Callable[[], Solution]] = {
     Status.STEP: lambda: solve(REGRESSIONS[0], LevenbergMarquardt(1e-3), np.array(REGRESSIONS[0].starts[0])),
     Status.COST: lambda: solve(Rosenbrock(upper=0.5), LevenbergMarquardt(1e-8), START),
+    Status.ENOUGH: lambda: solve(Rosenbrock(), LevenbergMarquardt(1e-8, 500, enough=1e-3), START),
     Status.EVALUATION_LIMIT: lambda: solve(Rosenbrock(), LevenbergMarquardt(1e-8, 3), START),
     Status.NO_DESCENT: lambda: solve(Cliff(), LevenbergMarquardt(1e-10, 500), START),
     Status.NOT_EVALUABLE: lambda: solve(Cliff(), LevenbergMarquardt(1e-8), np.array([2.0, 1e-12])),
@@ -149,24 +140,32 @@ def test_a_status_is_met(status: Status) -> None:
     assert PROVOKED[status]().status is status
 
 
+@dataclass(frozen=True)
+class Kinked(Rosenbrock):
+    """A residual that grows beyond a curve, on which the least lies, as where friction begins to slip."""
+
+    def linearise(self, x: Array) -> tuple[Array, Array]:
+        beyond = x[0] - 1.0 + 0.3 * x[1] ** 2
+        steep = 5.0 * (beyond > 0.0)
+        error = np.array([x[0] - 3, x[1] - 2, 2 + steep * beyond])
+        return error, np.array([[1, 0], [0, 1], [steep, 0.6 * steep * x[1]]])
+
+
+def test_the_least_at_a_kink_is_found() -> None:
+    """Along x = 1 - 0.3 y^2 the criterion is least where 2.2 y + 0.18 y^3 = 2."""
+    end = solve(Kinked(), LevenbergMarquardt(1e-8), np.zeros(2))
+    assert end.status is Status.KINK
+    x, y = end.x
+    assert x == pytest.approx(1.0 - 0.3 * y**2, abs=1e-6)
+    assert 2.2 * y + 0.18 * y**3 == pytest.approx(2.0, abs=1e-3)
+
+
 def test_evaluations_are_those_counted_and_steps_are_told() -> None:
-    calls: list[Array] = []
-
-    @dataclass(frozen=True)
-    class Watched(Rosenbrock):
-        def linearise(self, x: Array) -> tuple[Array, Array]:
-            calls.append(x)
-            return super().linearise(x)
-
-    told: list[Step] = []
-    end = solve(Watched(), LevenbergMarquardt(1e-8), START, told.append)
-    assert end.evaluations == len(calls)
-    assert tuple(told) == end.trace[1:]
-    counted = Counted(Watched())
-    first = solve(counted, LevenbergMarquardt(1e-8, 4), START)
+    told, counted = list[float](), Counted(Rosenbrock())
+    first = solve(counted, LevenbergMarquardt(1e-8, 4), START, told.append)
     second = solve(counted, LevenbergMarquardt(1e-8), first.x)
-    assert counted.evaluations == first.evaluations + second.evaluations
-    assert end.trace[-1].evaluations <= end.evaluations
+    assert tuple(told) == first.trace[1:]
+    assert counted.evaluations == first.evaluations + second.evaluations > 4
 
 
 @pytest.mark.parametrize("rows", [5, 9, 2000, 5003])
@@ -208,7 +207,7 @@ def test_a_step_of_limited_reach_does_not_leap_to_where_nothing_is_told() -> Non
     start = np.array([0.9])
     assert abs(solve(Well(), LevenbergMarquardt(1e-10), start).x[0]) > 5
     end = solve(Well(), LevenbergMarquardt(1e-10, reach=np.array([1.0])), start)
-    assert end.converged
+    assert end.status.converged
     assert end.x[0] == pytest.approx(0.0, abs=1e-6)
 
 

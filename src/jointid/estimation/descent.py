@@ -29,7 +29,7 @@ from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.springs import Spring
 from jointid.simulation.simulate import Run, motion_at
 from jointid.simulation.start import wound_up
-from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, Step, solve
+from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, solve
 from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
 
@@ -104,8 +104,8 @@ class History:
         self.counted.problem = problem
         size = problem.size or 1.0
 
-        def watch(step: Step) -> None:
-            self.progress(Detail(f"torque error {100 * step.norm / size:.4f} %"))
+        def watch(norm: float) -> None:
+            self.progress(Detail(f"torque error {100 * norm / size:.4f} %"))
 
         return Solved(problem, solve(self.counted, solver, start, watch))
 
@@ -259,7 +259,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History
     ends = [history.solve(problem, problem.vector(start), ROUGH) for start in starts]
     best = min(ends, key=lambda end: end.norm)
     end = history.solve(problem, best.x)
-    if not end.solution.converged:  # along a flat valley a second descent has its damping anew
+    if not end.solution.status.converged:  # along a flat valley a second descent has its damping anew
         end = history.solve(problem, end.x)
     return end._replace(solution=replace(end.solution, starts=found.solution.starts))
 

@@ -59,7 +59,7 @@ from jointid.simulation.controller_torque import seen_position
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import INITIAL
-from jointid.solvers.solve import LevenbergMarquardt, Solution, Step, damped_step, solve
+from jointid.solvers.solve import LevenbergMarquardt, Solution, damped_step, solve
 from jointid.uncertainty.covariance import Covariance, Influence, Sums, larger, left_out, rows_of, total
 from jointid.uncertainty.identifiability import find_separable, identifiability
 from jointid.uncertainty.position_dependent_error import RESTING, cells, uncertainty
@@ -397,7 +397,7 @@ def _judge(
         (np.concatenate([p.measured for p in problems]), np.concatenate([run.torque for run in runs])),
         float(np.linalg.norm(left * sizes) / np.linalg.norm(sizes)),
         sum(rows.size for rows in at),
-        (solution.message, solution.converged),
+        (solution.message, solution.status.converged),
         sum(fit.fit.simulations for fit in fits) + made,
         replace(fits[0].settings, loop=loop, delay=loop.controller.law(problems[0].sample_time).delay),
         [name for one in layout.loops for name in one.channels],
@@ -669,8 +669,8 @@ def identify_windows(
     problem = WindowsOfLog(like, log, places_of(*_commanded(like)), length, settled, progress)
     sums = problem.pass_over(x).sums
 
-    def watch(step: Step) -> None:
-        progress(Detail(f"pass {len(problem.passes)}: torque error {100 * step.norm / math.sqrt(sums.size):.4f} %"))
+    def watch(norm: float) -> None:
+        progress(Detail(f"pass {len(problem.passes)}: torque error {100 * norm / math.sqrt(sums.size):.4f} %"))
 
     enough = 1e-6 * math.sqrt(sums.size)  # of the torque: a residual as good as none
     # Of a row's noise, squared: a step worth less moves no parameter by a third of a deviation.
@@ -691,7 +691,7 @@ def identify_windows(
         (np.zeros(0), np.zeros(0)),
         sums.relative_error,
         sums.rows,
-        (solution.message, solution.converged),
+        (solution.message, solution.status.converged),
         began.fit.simulations + len(problem.passes) * len(found.windows),
         replace(
             began.settings, variant=f"{began.settings.variant}, in windows", loop=at,

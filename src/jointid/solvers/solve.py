@@ -1,7 +1,4 @@
-"""`solve`: bounded least squares by Levenberg-Marquardt, and linear ones by QR.
-
-Each step of the solver minimises the damped linear problem within the bounds.
-"""
+"""`solve`: bounded least squares by Levenberg-Marquardt, and linear ones by QR."""
 
 from __future__ import annotations
 
@@ -17,14 +14,20 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter
 
+Linear: TypeAlias = tuple[FloatArray, FloatArray]
+"""Residual, (rows,), and derivatives, (rows, free)."""
+
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
 _SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
-_PATIENCE = 8  # steps that change less than the tolerance, or that are refused
+_PATIENCE = 8  # steps that change less than the tolerance
 _RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide: the root of the machine precision
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
+_SAME = 0.1  # of what a linear model missed, and of a step: so far a kink explains it
+_HELD = 1e4  # times the residual: what leaving a kink costs
+_RANK = 1e-10  # of the largest: a normalised singular value below this is a parameter nothing excites
 _LARGEST = 1e140  # of a residual and its derivatives: those of a loop that runs away have no squares
 
 
@@ -35,7 +38,7 @@ class Problem(Protocol):
     def free(self) -> tuple[Parameter, ...]:
         """Identified parameters with bounds, in the order of vectors and columns."""
 
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> Linear:
         """Residual, (rows,), and derivatives, (rows, free); large and 0 on failure."""
 
 
@@ -45,6 +48,7 @@ class Status(Enum):
     STEP = "converged: the parameters changed by less than {tolerance:g} %"
     COST = "converged: the criterion changed by less than {tolerance:g} %"
     WORTH = "converged: another step promises to lower the criterion by less than {worth:.2g} %"
+    KINK = "converged: along the kink of the criterion a step promises to lower it by less than {tolerance:g} %"
     ROUNDING = "converged: steps change the criterion by no more than rounding"
     ENOUGH = "converged: what is left is no more than the problem itself may err"
     EXACT = "the torque is reproduced to rounding"
@@ -58,21 +62,8 @@ class Status(Enum):
         return self not in (Status.EVALUATION_LIMIT, Status.NO_DESCENT, Status.NOT_EVALUABLE)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Step:
-    """One accepted step.
-
-    Attributes:
-        evaluations: of the problem up to then, in all that was solved with it.
-    """
-
-    x: FloatArray
-    norm: float
-    evaluations: int
-
-
-Watch: TypeAlias = Callable[[Step], None]
-"""Callback for every step."""
+Watch: TypeAlias = Callable[[float], None]
+"""Callback for every step, which gets the norm of the residual."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +75,7 @@ class Solution:
         residual: there, (rows,).
         jacobian: its derivatives, (rows, free).
         status: why it ended. message: the same with the solver's numbers.
-        trace: the steps that led there.
+        trace: norms of the residual, at the start and after each step that was made.
         evaluations: of the problem.
         starts: how many starts led there, of how many.
     """
@@ -94,14 +85,9 @@ class Solution:
     jacobian: FloatArray
     status: Status
     message: str
-    trace: tuple[Step, ...]
+    trace: tuple[float, ...]
     evaluations: int
     starts: tuple[int, int] = (1, 1)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the solver succeeded."""
-        return self.status.converged
 
 
 @dataclass(slots=True, eq=False)
@@ -115,7 +101,7 @@ class Counted:
 
     problem: Any = None
     evaluations: int = 0
-    _last: tuple[Any, FloatArray, tuple[FloatArray, FloatArray]] | None = None
+    _last: tuple[Any, FloatArray, Linear] | None = None
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -123,7 +109,7 @@ class Counted:
         free: tuple[Parameter, ...] = self.problem.free
         return free
 
-    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> Linear:
         """Residual, (rows,), and derivatives, (rows, free)."""
         last = self._last
         if last is None or last[0] is not self.problem or not np.array_equal(last[1], x):
@@ -158,7 +144,7 @@ class LevenbergMarquardt:
 
 
 def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Watch = lambda _: None) -> Solution:
-    """Solve a problem from a start; the trace begins with it.
+    """Solve a problem from a start; its trace begins there.
 
     Args:
         problem: left unchanged; a `Counted` one keeps its count and cache.
@@ -170,11 +156,11 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
     bounds = Bounds.of(problem.free)
     x, before, widths = bounds.clip(start), counted.evaluations, bounds.upper - bounds.lower
     error, J = counted.linearise(x)
-    trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
+    trace, damping, used = [float(np.linalg.norm(error))], _DAMPING, 1
     status = None if J.any() and math.isfinite(_gain(1.0, error, J)) else Status.NOT_EVALUABLE
-    share, idle, refused = 1.0, 0, 0
-    while status is None and used < solver.evaluations and trace[-1].norm > solver.enough:
-        norm, reach = trace[-1].norm, None if solver.reach is None else share * solver.reach
+    share, idle, limit = 1.0, 0, max(solver.tolerance, _RESOLVED)
+    while status is None and used < solver.evaluations and trace[-1] > solver.enough:
+        norm, reach = trace[-1], None if solver.reach is None else share * solver.reach
         room = bounds.shift_to(x, reach)
         step = damped_step(error, J, room, damping, widths)
         cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
@@ -183,22 +169,28 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
             break
         after = counted.linearise(x + step)
         used, gained = used + 1, _gain(norm, *after)
-        refused = 0 if gained > 0.0 else refused + 1
+        # Where the least lies at a kink, shorter steps only creep towards it.
+        crossed = damping > 1.0 and reach is None and -math.inf < gained <= 0.0
+        kink = _find_kink((error, J), step, after) if crossed and used < solver.evaluations else None
+        if kink is not None:
+            to, along = kink[2] * step, damped_step(*kink[:2], room, 0.0, widths)
+            if _gain(norm, error + J @ along) <= solver.tolerance:
+                status = Status.KINK
+                break
+            step = to + min(_HARDER / damping, 1.0) * (along - to)
+            after = counted.linearise(x + step)
+            used, gained = used + 1, _gain(norm, *after)
         small = bool(np.all(np.abs(step) <= solver.tolerance * np.abs(x)))
         if gained > 0.0:
             x, (error, J) = x + step, after
-            trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
+            trace.append(float(np.linalg.norm(error)))
             watch(trace[-1])
         # A step that had to be damped or cut so much is short for another reason than that the end is near.
-        if damping <= 1.0 and small and not cut:
-            status = Status.STEP
-        elif damping <= 1.0 and abs(gained) <= solver.tolerance and not cut:
-            status = Status.COST
-        elif gained <= 0.0:
-            # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
-            limit = solver.tolerance if refused < _PATIENCE else max(solver.tolerance, _RESOLVED)
-            if _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
-                status = Status.ROUNDING
+        if damping <= 1.0 and not cut and (small or abs(gained) <= solver.tolerance):
+            status = Status.STEP if small else Status.COST
+        # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
+        elif gained <= 0.0 and _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
+            status = Status.ROUNDING
         # Steps with a reach, long or short, that all change nothing have come to the end.
         idle = idle + 1 if reach is not None and abs(gained) <= solver.tolerance else 0
         if status is None and (idle >= _PATIENCE or damping >= _MOST):
@@ -207,9 +199,8 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
             shorter = max(_SHORTER * min(float(np.max(np.abs(step) / solver.reach)), share), _NEAREST)
             share = min(_FARTHER * share, 1.0) if gained > 0.0 else shorter
         damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
-    if status is not Status.NOT_EVALUABLE and trace[-1].norm <= solver.enough:
-        status = Status.ENOUGH
-    status = status or Status.EVALUATION_LIMIT
+    enough = status is not Status.NOT_EVALUABLE and trace[-1] <= solver.enough
+    status = Status.ENOUGH if enough else status or Status.EVALUATION_LIMIT
     message = status.value.format(tolerance=100 * solver.tolerance, worth=100 * solver.worth, evaluations=used)
     return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 
@@ -219,6 +210,22 @@ def _gain(norm: float, after: FloatArray, *slopes: FloatArray) -> float:
     if not all(bool(np.all(np.abs(array) < _LARGEST)) for array in (after, *slopes)):
         return -math.inf
     return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
+
+
+def _find_kink(here: Linear, step: FloatArray, there: Linear) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return residual and derivatives with a row that holds steps to a kink, and how far a refused step lies before it.
+
+    Friction that begins to slip adds ``u max(n s - d, 0)`` to the residual of a step s, and ``u n`` to its derivatives.
+    """
+    (error, J), jump = here, there[1] - here[1]
+    turned, missed = jump @ step, there[0] - error - J @ step
+    square = float(turned @ turned)
+    beyond = float(turned @ missed) / square if 0.0 < square < math.inf else 0.0  # of the step; half, if it is a curve
+    unlike = np.linalg.norm(missed - beyond * turned)
+    if unlike > _SAME * np.linalg.norm(missed) or abs(beyond - 0.5) <= _SAME or not 0.0 < beyond <= 1.0 + _SAME:
+        return None
+    before, held = max(1.0 - beyond, 0.0), _HELD * float(np.linalg.norm(error))
+    return np.append(error, -held * before), np.vstack([J, held / square * (turned @ jump)]), before
 
 
 def damped_step(
@@ -244,11 +251,6 @@ def damped_step(
     target = np.concatenate([-triangle[:, -1], np.zeros(norms.size)])
     found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")
     return room.clip(found.x / norms)
-
-
-# Linear least squares by QR
-
-_RANK = 1e-10  # of the largest: a normalised singular value below this is a parameter nothing excites
 
 
 def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:

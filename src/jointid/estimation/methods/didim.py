@@ -136,7 +136,7 @@ class DIDIM(Method):
                 solved = solved._replace(problem=solved.problem.under(loop.controller))
         problem, x = solved.problem, solved.x
         error, J = solved.solution.residual, solved.solution.jacobian
-        run, end = problem.simulate(x), (solved.solution.message, solved.solution.converged)
+        run, end = problem.simulate(x), (solved.solution.message, solved.solution.status.converged)
         if task.joint.model == "rigid":
             joint = problem.free_joint
             refuse_idle(J[:, : len(joint)], tuple(p.name for p in joint))

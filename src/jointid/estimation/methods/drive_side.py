@@ -161,7 +161,7 @@ class DriveSideFit(Method):
             (problem.measured, problem.predict(problem.run(x))),
             problem.filtered_error(error),
             error.size,
-            (found.message, found.converged),
+            (found.message, found.status.converged),
             history.counted.evaluations,
             Settings(self.name, "drive-side by least squares", problem.joint, None, problem.filtering, late),
             ("torque", "motor_position"),

@@ -182,7 +182,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
         )
     springs = _judge_springs(problem, x, covariance.std, most)
     covariance = replace(covariance, std=covariance.std * scales)
-    return RobotFit(problem, x, runs, J, covariance, left, made, end.solution.converged, springs)
+    return RobotFit(problem, x, runs, J, covariance, left, made, end.solution.status.converged, springs)
 
 
 def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: float) -> tuple[SpringVerdict, ...]:
@@ -348,7 +348,7 @@ class _Search:
         for common in 11.25, 16.875, 25.3125:  # Hz of all springs, where the first descent leads nowhere
             if common < start.stiff and not _leads_on(end) and end.norm <= without:
                 end = min(end, begin(common), key=lambda one: one.norm)
-        lost = not end.solution.converged and end.norm > without
+        lost = not end.solution.status.converged and end.norm > without
         if lost:  # no better than without springs: one that has none, or high modes, is found from stiff ones
             end = begin(start.stiff)
         known = white(end.solution.jacobian, end.solution.residual)
@@ -440,7 +440,7 @@ def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
         weighed = replace(problem, sigma=_reweight(end).sigma)
         # A step worth less than a tenth, in units of the noise, moves all parameters by 0.3 deviations.
         end = _go_on(weighed, end, (3e-5, 0.1 / end.solution.residual.size), history)
-        if not end.solution.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < 0.4):
+        if not end.solution.status.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < 0.4):
             break
     return conclude(end, history.counted.evaluations)
 
@@ -454,8 +454,8 @@ def _reweight(end: Solved) -> Simulated:
 def _leads_on(end: Solved) -> bool:
     """Whether a descent still progresses, or leaves little of each joint's torque."""
     trace = end.solution.trace
-    if not end.solution.converged:
-        return len(trace) > 1 and trace[-1].norm < 0.7 * trace[-2].norm
+    if not end.solution.status.converged:
+        return len(trace) > 1 and trace[-1] < 0.7 * trace[-2]
     left = end.problem.norms(linearise_again(end)[0])
     return not np.any(left > LITTLE * end.problem.sizes)
 
