@@ -22,13 +22,13 @@ def respond(
     excess: FloatArray,
     raw: FloatArray,
 ) -> None:
-    """Compute `raw`, and `excess` unless given, period by period, from the state `z`.
+    """Compute `raw`, and `excess` unless given, by period from state `z`.
 
     Args:
         starts: (phases * rows + 1,) of a sparse matrix, whose rows are the elements, then the states, of each phase.
         sources: (weights,) its columns: states, then inputs, then excesses.
         weights: (weights,) its values.
-        limits: (elements,) which elements are limits.
+        limits: (elements,) values of the limits.
         gates: (elements,) index of the limit that a gate watches, negative for a limit.
         free: whether limits and gates act and `excess` is computed.
         z: (states,).

@@ -1,9 +1,9 @@
-"""The columns of a robot's inverse dynamics, and the base parameters: what its motion can tell of them at all.
+"""Columns of a robot's inverse dynamics, and its base parameters.
 
 Of the ten inertial parameters of each link and its rotor's inertia many act on the torques only in sums. These sums,
 the base parameters, are found from the columns in random motions: a column that is a sum of others before it adds its
 parameter to theirs [Gautier 1991; Khalil and Dombre 2002, ch. 9.4]. Columns are divided by their lengths first, so
-that neither units nor the size of a robot decide what is 0.
+that the threshold for 0 depends neither on units nor on the size of a robot.
 
 Parameters are named alike by every method. A number of a motor or a spring is named by its joint and what it is,
 "elbow.viscous". A base parameter is named by the symbol of its first inertial parameter, "Izz1". The sum of a rotor and
@@ -44,24 +44,24 @@ _SYMBOLS = {
 
 
 def symbol_of(quantity: str, joint: int) -> str:
-    """Return the symbol of a joint's number with the joint's place from 1: "Fc2", "Fv2+"; of others its name."""
+    """Symbol of a joint's number, as "Fc2", "Fv2+"; else its name."""
     symbol = _SYMBOLS.get(quantity, quantity)
     word = symbol.rstrip("+-")
     return f"{word}{joint + 1}{symbol[len(word) :]}"
 
 
 def name_of(quantity: str, joint: str) -> str:
-    """Return the name of a number of the joint with this name: "elbow.viscous"."""
+    """Name of a number of a joint, as "elbow.viscous"."""
     return f"{joint}.{quantity}"
 
 
 def inertial_symbol(symbol: str, link: int) -> str:
-    """Return the symbol of a link's inertial parameter with the link's place from 1: "Izz1"."""
+    """Symbol of a link's inertial parameter, counted from 1, as "Izz1"."""
     return f"{symbol}{link + 1}"
 
 
 def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-    """Return the columns of the motors' torques, (samples, n, 11 n): the inertials link by link, then the rotors.
+    """Motor torque columns, (samples, n, 11 n): inertials by link, then rotors.
 
     Args:
         robot: its tree, gravity and coupling are read.
@@ -78,14 +78,14 @@ def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -
 
 
 def standard_symbols(robot: Robot) -> tuple[str, ...]:
-    """Return the symbols of the standard parameters, (11 n,), with the joints' numbers from 1."""
+    """Symbols of the standard parameters, (11 n,), with joints counted from 1."""
     numbers = range(len(robot))
     links = (inertial_symbol(symbol, k) for k in numbers for symbol in SYMBOLS)
     return (*links, *(symbol_of("rotor_inertia", k) for k in numbers))
 
 
 def name_sum(robot: Robot, weights: FloatArray, kept: int) -> tuple[str, str, int]:
-    """Return name and symbol of a sum, and the standard parameter that its formula begins with.
+    """Name and symbol of a sum, and the first standard parameter.
 
     A rotor that is part of a sum gives it no name.
 
@@ -108,10 +108,10 @@ def name_sum(robot: Robot, weights: FloatArray, kept: int) -> tuple[str, str, in
 
 
 def group_columns(columns: FloatArray) -> tuple[list[int], FloatArray]:
-    """Return which columns are no sum of those before them, and the sums, (kept, columns): columns = kept @ sums.
+    """Linearly independent columns, and sums, (kept, columns): ``columns = kept @ sums``.
 
     Args:
-        columns: (rows, columns); of one that is 0 there is nothing in any sum.
+        columns: (rows, columns); a column of zeros is in no sum.
     """
     scales = column_norms(columns)
     unit, basis, kept = columns / scales, np.zeros((len(columns), 0)), list[int]()
@@ -130,12 +130,12 @@ def group_columns(columns: FloatArray) -> tuple[list[int], FloatArray]:
 
 
 def formula_of(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str:
-    """Return a sum as text, which begins with its first symbol: "Izz1 + m2 * 0.09 + Ia1".
+    """Sum as text, beginning with its symbol: "Izz1 + m2 * 0.09".
 
     Args:
         weights: (symbols,) of the sum.
         first: place of the symbol that names it.
-        symbols: all there are.
+        symbols: of all parameters.
     """
     terms = [symbols[first]]
     for i in np.flatnonzero(weights):

@@ -1,4 +1,4 @@
-"""The motion of a tree of links, the regressor of its inertial parameters, and the vectors that both are written in.
+"""Motion of a tree of links, and regressor of its inertial parameters.
 
 ::
 
@@ -7,7 +7,7 @@
 Link i has its frame on its joint. At q = 0 that frame stands in the parent's at `origins[i]`, turned by `rotations[i]`
 (link to parent); a revolute joint turns the link about `axes[i]`, a prismatic one slides it along. Inertial parameters
 ``m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz`` are about the origin of the link's frame, so the dynamics are linear in
-them [Khalil and Dombre 2002, ch. 9]. What a rotor adds behind its gear, and friction, is not in here.
+them [Khalil and Dombre 2002, ch. 9]. Rotors behind gears, and friction, are not included.
 
 All motion is seen from the base, as in `equations`, which has the mass matrix and the torque in one pass. The regressor
 takes the axis of every joint to the links that it moves, one twist for each pair, rather than ten wrenches of each link
@@ -83,14 +83,14 @@ def rotate(x: Vector, y: Vector, z: Vector, a: Vector) -> Vector:
 
 @inline_kernel
 def inertia_times(body: FloatArray, i: int, j: int, a: Vector) -> Vector:
-    """Return the inertia ``xx, xy, xz, yy, yz, zz`` in a row, from column j on, times a vector."""
+    """Inertia ``xx, xy, xz, yy, yz, zz``, from column j, times vector."""
     xx, xy, xz, yy, yz, zz = body[i, j], body[i, j + 1], body[i, j + 2], body[i, j + 3], body[i, j + 4], body[i, j + 5]
     return xx * a[0] + xy * a[1] + xz * a[2], xy * a[0] + yy * a[1] + yz * a[2], xz * a[0] + yz * a[1] + zz * a[2]
 
 
 @inline_kernel
 def move_outwards(tree: Tree, room: FloatArray) -> None:
-    """Write frames, twists of joints, velocities and accelerations, all seen from the base; the scratch has MOTION."""
+    """Write base-frame frames, joint twists, velocities and accelerations; the scratch has MOTION."""
     parents, kinds, axes, rotations, origins = tree.parents, tree.kinds, tree.axes, tree.rotations, tree.origins
     gravity = tree.gravity
     for i in range(parents.size):
@@ -149,11 +149,11 @@ def _to_link(room: FloatArray, i: int, a: Vector) -> Vector:
 
 @partial(compile_kernel, _nrt=False)
 def regressor(tree: Tree, room: FloatArray, out: FloatArray) -> None:
-    """Fill `out`, (n, 10 n), with the regressor: times the inertials, link by link, it is the joints' torque.
+    """Fill `out`, (n, 10 n), with the regressor of joint torques.
 
     Args:
         tree: of the links.
-        room: what `move_outwards` has written.
+        room: written by `move_outwards`.
         out: N m or N per unit of each parameter.
     """
     for i in range(out.shape[0]):
@@ -184,7 +184,7 @@ def regressor(tree: Tree, room: FloatArray, out: FloatArray) -> None:
 
 @compile_kernel
 def regressor_of(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-    """Return the regressor of a motion, (samples, n, 10 n); its arguments are (samples, n)."""
+    """Regressor of a motion, (samples, n, 10 n), from (samples, n) each."""
     samples, n = q.shape
     out, room = np.empty((samples, n, PARAMETERS * n)), np.empty((n, FREE))
     for t in range(samples):
@@ -196,5 +196,5 @@ def regressor_of(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray) -> Flo
 
 
 def inverse_dynamics(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-    """Return the torques of a motion, (samples, n); `inertials` (n, 10), the motion (samples, n) each."""
+    """Torques of a motion, (samples, n); `inertials` are (n, 10)."""
     return regressor_of(tree, q, v, a) @ inertials.ravel()

@@ -1,4 +1,4 @@
-"""The equations of motion of a tree of links in one pass, and their derivatives by positions and velocities.
+"""Equations of motion of a tree of links, and their derivatives.
 
 All is seen from the base: with twists and wrenches about its origin the bodies behind a joint are a sum. Of link i, S
 is the twist of its joint, V its velocity and A its acceleration (less gravity), I the inertia and f the force of all
@@ -61,7 +61,7 @@ _MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = (FREE + column for column in (
 
 @inline_kernel
 def _move(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
-    """Write the motion of the links into the scratch, from that of the shafts."""
+    """Write the motion of the links into the scratch, from the shafts'."""
     for i in range(q.size):
         motion = (q[i], v[i], a[i])
         if tree.joints.shape[0] > 0:
@@ -74,7 +74,7 @@ def _move(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatAr
 
 @inline_kernel
 def to_shafts(joints: FloatArray, rows: FloatArray, room: FloatArray) -> None:
-    """Take rows of torques of the joints, or derivatives by their positions, to the shafts, in place."""
+    """Convert rows of joint torques, or their derivatives, to shafts, in place."""
     for i in range(rows.shape[0] if joints.shape[0] > 0 else 0):
         for j in range(joints.shape[0]):
             room[j, _FORCE] = 0.0
@@ -105,14 +105,14 @@ def _body(inertials: FloatArray, i: int, room: FloatArray) -> None:
 
 @inline_kernel
 def _times_inertia(room: FloatArray, i: int, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Return the moment and the force that a link's inertia makes of a twist."""
+    """Moment and force of a link's inertia for a twist."""
     h, m = get(room, i, _MOMENT), room[i, _MASS]
     return add(inertia_times(room, i, _INERTIA, a), cross(h, b)), add(times(m, b), cross(a, h))
 
 
 @inline_kernel
 def _force(room: FloatArray, i: int) -> None:
-    """Write the force that moves a link as it moves."""
+    """Write the force for the motion of a link."""
     w, u = get(room, i, VELOCITY), get(room, i, VELOCITY + 3)
     moment, force = _times_inertia(room, i, get(room, i, ACCELERATION), get(room, i, ACCELERATION + 3))
     N, p = _times_inertia(room, i, w, u)
@@ -157,7 +157,7 @@ def equations_of_motion(
 
 @inline_kernel
 def _own_slopes(room: FloatArray, i: int) -> None:
-    """Write W and the momentum of a link, of which its B is made."""
+    """Write W and the momentum of a link, the parts of B."""
     w, u, h = get(room, i, VELOCITY), get(room, i, VELOCITY + 3), get(room, i, _MOMENT)
     xx, xy, xz = room[i, _INERTIA], room[i, _INERTIA + 1], room[i, _INERTIA + 2]
     yy, yz, zz = room[i, _INERTIA + 3], room[i, _INERTIA + 4], room[i, _INERTIA + 5]
@@ -173,7 +173,7 @@ def _own_slopes(room: FloatArray, i: int) -> None:
 
 @inline_kernel
 def _changing(room: FloatArray, i: int, parent: int, gravity: FloatArray) -> tuple[Vector, Vector]:
-    """Return R of a joint: how the twist of its joint turns with what carries it, a second time."""
+    """R of a joint: second change of its twist with its carrier."""
     w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
     if parent >= 0:
         w, u = get(room, parent, VELOCITY), get(room, parent, VELOCITY + 3)
@@ -188,7 +188,7 @@ def linearised_equations(
     tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
     M: FloatArray, by_place: FloatArray, by_speed: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the mass matrix, and the derivatives of the torques by positions and by velocities, (n, n) each."""
+    """Fill mass matrix and torque derivatives by position and velocity, (n, n)."""
     parents, joints, n = tree.parents, tree.joints, tree.parents.size
     _move(tree, q, v, a, room)
     for i in range(n):

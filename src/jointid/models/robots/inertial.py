@@ -1,4 +1,4 @@
-"""The ten inertial parameters of a link, as mass, centre and inertia there, and as pseudo-inertia.
+"""Ten inertial parameters of a link: mass properties and pseudo-inertia.
 
 The parameters ``m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz`` are about the origin of the link's frame. The
 pseudo-inertia gathers the same numbers in one matrix of second moments of the mass::
@@ -30,7 +30,7 @@ _ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MassProperties:
-    """Mass, centre and inertia of a body, as drawings say them.
+    """Mass, centre and inertia of a body, as in drawings.
 
     Attributes:
         mass: kg.
@@ -54,7 +54,7 @@ def _steiner(r: FloatArray) -> FloatArray:
 
 
 def mass_properties(inertial: FloatArray) -> MassProperties:
-    """Return mass, centre and inertia at the centre from the ten parameters, (10,).
+    """Mass, centre and inertia at the centre from ten parameters, (10,).
 
     Raises:
         MethodError: the mass is not positive, so that there is no centre.
@@ -69,7 +69,7 @@ def mass_properties(inertial: FloatArray) -> MassProperties:
 
 
 def inertia_matrix(inertial: FloatArray) -> FloatArray:
-    """Return the inertia about the frame's origin, (3, 3), of the ten parameters."""
+    """Inertia about the frame's origin, (3, 3), of the ten parameters."""
     xx, xy, xz, yy, yz, zz = inertial[4:]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -89,7 +89,7 @@ def inertial_of(pseudo: FloatArray) -> FloatArray:
 
 
 def is_physical(inertial: FloatArray) -> bool:
-    """True if a body can have these ten parameters, (10,): its mass is positive, its second moments not negative.
+    """True if a body can have these ten parameters, (10,).
 
     Thin bodies, rods and plates, count; so does a link without any mass.
     """
@@ -130,9 +130,9 @@ def log_cholesky(pseudo: FloatArray) -> FloatArray:
 
 
 def from_log_cholesky(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the ten inertial parameters, (10,), of log-Cholesky parameters, (10,), and their derivatives, (10, 10).
+    """Inertial parameters, (10,), of log-Cholesky ones, (10,), and derivatives, (10, 10).
 
-    Whatever the numbers, a body can have what comes.
+    They are physically consistent for all numbers.
     """
     alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = parameters
     lengths = np.exp([d1, d2, d3])

@@ -1,4 +1,4 @@
-"""A robot: links in a tree, one joint before each, with its rotor, its friction and perhaps its spring.
+"""A robot: a tree of links and joints with rotors, friction, springs.
 
 ::
 
@@ -34,7 +34,7 @@ _UNIT = 1e-9  # how far a unit vector may be from one, and a rotation from one
 
 
 class Tree(NamedTuple):
-    """A robot's kinematics and gravity, as compiled functions take them.
+    """A robot's kinematics and gravity, for compiled functions.
 
     Attributes:
         parents: (n,) of each link, -1 for the base; before the link.
@@ -81,7 +81,7 @@ class Link:
     limits: tuple[float, float] | None = None
 
     def turn(self, zero: float) -> Link:
-        """Return the link with its joint's zero at a position of this one, rad or m; its frame moves with it."""
+        """Move the joint's zero to a position, rad or m, frame included."""
         if self.kind == "prismatic":
             return replace(self, origin=self.origin + zero * self.rotation @ self.axis)
         x, y, z = self.axis
@@ -93,10 +93,10 @@ class Link:
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class JointSpring:
-    """The spring between a motor and its link, and the friction behind it.
+    """The spring between a motor and its link, with friction behind it.
 
     Attributes:
-        law: of the spring; what it has beside stiffness and damping is among `RobotJoint.numbers`.
+        law: of the spring; its further parameters are among `RobotJoint.numbers`.
     """
 
     stiffness: float = field(metadata=declare("of the spring, where a search begins", unit="N m/rad or N/m", above=0))
@@ -117,11 +117,11 @@ class JointSpring:
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
-    """The motor of a link; all its numbers behind the gear.
+    """The motor of a link; all its numbers are behind the gear.
 
     Attributes:
-        friction: the law of motor and link; None for lines, as the numbers say them.
-        numbers: what the laws have beside the numbers here, by the names of a joint's parameters:
+        friction: the law of motor and link; None for the lines of the numbers.
+        numbers: further parameters of the laws, by the names of a joint's parameters:
             "presliding_distance", of a flexible joint "motor_presliding_distance", "gap", ...
     """
 
@@ -183,7 +183,7 @@ class RobotJoint:
 
     @property
     def linear(self) -> RobotJoint:
-        """The joint with a linear spring, and the lines of its friction alone."""
+        """The joint with linear spring and friction lines."""
         friction = None if self.friction is None else self.friction.lines
         spring = None if self.spring is None else replace(self.spring, law=Spring())
         names = {p.name for p in self.model.linear.parameters}
@@ -194,7 +194,7 @@ class RobotJoint:
 
     @property
     def rigid(self) -> RobotJoint:
-        """The joint whose spring does not give: what the link's side takes is added to the motor's."""
+        """The rigid joint, with the link side's friction added to the motor's."""
         if self.spring is None:
             return self
         whole, behind = self.model.rigid, self.spring
@@ -213,7 +213,7 @@ class RobotJoint:
 
     @property
     def values(self) -> dict[str, float]:
-        """Its numbers by the names of a joint's parameters; what its link weighs is not among them."""
+        """Numbers by the names of a joint's parameters, without the link's weight."""
         motor, behind = "" if self.spring is None else "motor_", self.spring
         back = self.viscous if self.viscous_backwards is None else self.viscous_backwards
         held = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
@@ -312,7 +312,7 @@ class Robot:
 
     @property
     def has_masses(self) -> bool:
-        """True if a link has a mass: of a model without any only the kinematics are known."""
+        """True if a link has a mass; else only kinematics are known."""
         return bool(np.any(self.inertials[:, 0] > 0))
 
     def with_inertials(self, inertials: FloatArray) -> Robot:
@@ -336,7 +336,7 @@ class Robot:
 
     @property
     def coupling(self) -> FloatArray:
-        """The matrix C, (n, n): the motors' positions behind their gears from the joints', see the module."""
+        """Matrix C, (n, n), from joint to motor positions, see the module."""
         found = np.eye(len(self))
         for i, joint in enumerate(self.joints):
             for other, factor in joint.coupling.items():
@@ -359,13 +359,13 @@ class Robot:
         return replace(self, joints=tuple(joint.rigid for joint in self.joints))
 
     def require_linear(self, taker: str, instead: str, *, springs: bool = False) -> None:
-        """Raise a `MethodError` if a friction is not linear in its parameters on a known motion.
+        """Raise a `MethodError` if a friction is nonlinear on a known motion.
 
-        One that rises towards standstill is, below a speed that is known.
+        A Stribeck term with a known speed is linear.
 
         Args:
-            taker: who takes no other, as "IDIM of a robot takes".
-            instead: what else may be done.
+            taker: subject of the sentence, as "IDIM of a robot takes".
+            instead: the remedy.
             springs: whether springs are to be linear, too.
         """
         for joint in self.joints:
@@ -393,8 +393,8 @@ class RobotLoop:
 
     Attributes:
         robot: links, joints and gravity.
-        controllers: one for each joint; each sees its motor's position alone, behind the gear. Where motors are coupled
-            so are the references: of the shafts that the motors turn.
+        controllers: one for each joint; each sees only its motor's position, behind the gear. With coupled motors
+            the references are those of the shafts that the motors turn.
         in_motion: whether the records begin while the robot moves, each shaft as its reference does; else at rest.
 
     Raises:
@@ -415,7 +415,7 @@ class RobotLoop:
 
     @property
     def loops(self) -> list[ClosedLoop]:
-        """Each controller beside a rigid joint of its kind; no parameter of that is read."""
+        """Each controller with a rigid joint of its kind, parameters unused."""
         each = zip(self.robot.links, self.controllers, strict=True)
         return [ClosedLoop(RigidJoint(link.kind), law) for link, law in each]
 
