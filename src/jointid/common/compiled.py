@@ -20,10 +20,10 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 class KernelCache(FunctionCache):
-    """Numba's cache of one kernel on disk; one that is damaged or cannot be written costs time alone.
+    """Numba's disk cache of one kernel; a damaged or unwritable one is ignored.
 
-    Numba's own stamp covers the kernel's file only, so that names of files have a hash of all kernels instead. Compiled
-    code is in files of its process: of two that compile at once, each would name the other's as its own.
+    Numba's own stamp covers the kernel's file only, so file names contain a hash of all kernels instead. They also
+    contain the process number: two processes that compile at once would otherwise overwrite each other's code.
     """
 
     def __init__(self, function: Any) -> None:
@@ -53,7 +53,7 @@ _SOURCES = (
     "simulation/kernels/*.py",
     "models/robots/*.py",
 )
-"""The modules of kernels, and of the named tuples that they take, whose fields they read by position."""
+"""The modules of kernels and of their named-tuple arguments, whose fields they read by position."""
 
 
 @cache
@@ -65,7 +65,7 @@ def hash_kernels() -> str:
 
 
 def compile_kernel(function: F, **options: bool) -> F:
-    """Compile with Numba: cached on disk if possible, without the GIL, with fused multiply-add; see `inline_kernel`."""
+    """Compile with Numba: without the GIL, with fused multiply-add, cached if possible."""
     kernel: Any = _njit(function, **options)
     if kernel is not function:  # Numba may be configured not to compile
         with contextlib.suppress(RuntimeError, OSError):  # there is no such folder, or there are no files of sources
@@ -74,9 +74,9 @@ def compile_kernel(function: F, **options: bool) -> F:
 
 
 def inline_kernel(function: F) -> F:
-    """Compile as part of every caller what makes no array; Python cannot call the function.
+    """Compile a function that is inlined in its callers and allocates no array.
 
-    Counting references to arrays takes half of a step's time, and Python wrappers a fifth of the compile time.
+    Python cannot call it. Reference counts take half of a step's time, and wrappers a fifth of the compile time.
     """
     return _njit(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
 
