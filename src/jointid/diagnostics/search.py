@@ -210,6 +210,7 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
+_LONGEST_LAG = 4e-3  # s: of a current loop or a setpoint filter; a longer one is another mistake
 _SELDOM = (MEASURED_VELOCITY, AVERAGED)  # those that are tried only where they are significant
 _OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are said where a record does not exclude them
 
@@ -304,10 +305,7 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
 
 
 def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[OtherLaw, FloatArray]]:
-    """Averaged and delayed reference, by its identified delay, and a torque that lags; each with its first parameters.
-
-    A measured current lags behind its setpoint, and so the lag comes first where the torque is one.
-    """
+    """Averaged and delayed reference, by its delay, and a torque that lags; each with its first parameters."""
     law: Any = problem.loop.controller
     period = float(problem.axis.law.period)
 
@@ -323,7 +321,8 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
     if more > 0.0 and not getattr(law, "torque_filters", True):
         with contextlib.suppress(JointidError):  # the lag vanishes
             lag, near = find(lag_torque(law, more).controller, "torque_filters.0.time_constant", more, near)
-            laws.insert(0 if problem.axis.tap is Tap.MEASURED else len(laws), (lag_torque(law, lag), near))
+            place = 0 if problem.axis.tap is Tap.MEASURED else len(laws)  # which lags behind its setpoint
+            laws[place:place] = [(lag_torque(law, lag), near)] if lag < _LONGEST_LAG else []
     return laws
 
 
