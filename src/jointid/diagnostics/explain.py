@@ -69,20 +69,16 @@ _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
 _NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
-_NAMED = 3
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
 _MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
 _MUCH_LATER = 0.5  # periods
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
-_TOLERANCE = 1e-4  # of a fit that only has to show its residual
 _STARTS = 2  # of a case, that are followed
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
 _ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
-_LOOPS = 10  # of a case, which are all tried then
 _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
-_RANGE = 1e4  # times its start, up and down: bounds of a number
 _TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
 
 FAILS = (JointidError, np.linalg.LinAlgError)  # raised where a record does not allow a fit or a check
@@ -155,6 +151,10 @@ def explain_misfit(
     assert loop is not None and record.reference is not None
     gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
     poor = gross or error > _SUSPICIOUS
+    if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
+        # Far below its resonance a flexible joint is rigid; a misfit there has another cause than its spring.
+        declared = Case(record, loop, estimate.settings.filtering)
+        poor = any(one.error > _SUSPICIOUS for one in fit_rigid([declared])[:1])
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
@@ -316,7 +316,7 @@ def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tup
     for one in candidates:
         if one.left <= _AS_GOOD * best.left and not is_small(one, declared):
             found.setdefault(one.name, one)
-    return tuple(found.values())[:_NAMED]
+    return tuple(found.values())[:3]
 
 
 def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
@@ -362,7 +362,7 @@ class Fit:
         """Return the fit after a limited descent; None if it fails."""
         try:
             with np.errstate(all="ignore"):
-                solution = solve(self.problem, LevenbergMarquardt(_TOLERANCE, evaluations), self.x)
+                solution = solve(self.problem, LevenbergMarquardt(1e-4, evaluations), self.x)  # shows its residual
         except FAILS:  # a loop that runs away, or a part of the law that vanishes
             return None
         error = float(np.linalg.norm(solution.residual)) / self.problem.size
@@ -427,7 +427,7 @@ def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
     """Yield starts with modes, near the rigid fit's number and at others."""
     case, values = rigid.case, rigid.problem.values(rigid.x)
     near = [values[case.free] * by for by in _NEAR] if case.free in case.numbers else []
-    case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= _LOOPS else ())))
+    case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= 10 else ())))
     for problem in filter(None, (_pose(case, loop) for loop in case.loops)):
         modes = frequencies_to_try(problem.axis.law, values["inertia"], problem.sample_time)[::_APART]
         for hertz, share in itertools.product(modes, _SHARES):
@@ -459,5 +459,5 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
     except JointidError:
         return None
     own = ((p, p.start or 0.0) for p in problem.parameters if p.name == case.free)
-    wide = {p.name: replace(p, lower=start / _RANGE, upper=start * _RANGE) for p, start in own}
+    wide = {p.name: replace(p, lower=1e-4 * start, upper=1e4 * start) for p, start in own}
     return problem.replace_parameters(wide)
