@@ -121,8 +121,8 @@ def _restore_robot(
         fixed = [row for row in rows.values() if not row.free]
         known = {row.name: Parameter(row.name, row.symbol, Quantity.FORCE).fix(row.value or 0.0) for row in fixed}
         offsets = any(f"{name}.offset" in rows for name in robot.names)
-        # Along a motion the laws are lines.
-        parameters = apply_constraints(robot_parameters(robot, offsets=offsets, whole=simulates == "loop"), known)
+        parameters = robot_parameters(robot, offsets=offsets, logarithmic=True, whole=simulates == "loop")
+        parameters = apply_constraints(parameters, known)  # as the search has them: along a motion the laws are lines
     if simulates == "loop":
         if not isinstance(system, RobotLoop):
             raise RecordError("it was identified under controllers, and this robot has none; add [controller] tables")
