@@ -57,8 +57,7 @@ def _parse(arguments: Sequence[str]) -> tuple[str, argparse.Namespace]:
 
 
 def _seeds(text: str) -> range:
-    first, _, after = text.partition(":")
-    return range(int(first), int(after))
+    return range(*map(int, text.split(":")))
 
 
 def _run(chosen: Sequence[Study], seeds: range | None, out: Path | None) -> int:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import multiprocessing
+import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ def judge_tasks(tasks: Sequence[Task], out: Path | None = None) -> list[Judged]:
             file.seek(0)
             found = {line["task"]: Judged(line["outcome"], line["seconds"]) for line in map(json.loads, file)}
         missing = [task for task in tasks if task.key not in found]
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a second thread of linear algebra only waits for the first
         pool = stack.enter_context(ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")))
         running = {pool.submit(_judge, task): task for task in missing}
         for done, future in enumerate(as_completed(running), 1):
@@ -69,6 +71,5 @@ def _judge(task: Task) -> Judged:
     module, _, name = task.function.partition(":")
     function, began = getattr(import_module(module), name), time.process_time()
     found = function(task.seed, **task.settings)
-    outcome = asdict(found) if is_dataclass(found) and not isinstance(found, type) else found
-    outcome = json.loads(json.dumps(outcome))  # a margin may be infinite, which this notation has
+    outcome = json.loads(json.dumps(found, default=asdict))  # a margin may be infinite, which this notation has
     return Judged(outcome, time.process_time() - began)
