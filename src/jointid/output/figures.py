@@ -151,17 +151,16 @@ def torque_word(unit: str) -> str:
     return {"N": "force", "N m": "torque"}.get(unit, "motor signal")
 
 
-def draw_torque(axes: Axes, axis: AxisSignals, part: slice = slice(None), *, gaps: bool = False) -> None:
-    """Draw measured and predicted signals; with `gaps`, only the compared samples."""
-    kept = np.where(axis.compared, 1.0, np.nan) if gaps else np.ones(axis.time.size)
+def draw_torque(axes: Axes, axis: AxisSignals, part: slice = slice(None)) -> None:
+    """Draw measured and predicted signals where they are compared."""
+    kept = np.where(axis.compared, 1.0, np.nan)
     _compare(axes, axis, axis.time[part], (kept * axis.measured)[part], (kept * axis.predicted)[part])
     axes.set_ylabel(axis.label)
 
 
-def draw_error(axes: Axes, axis: AxisSignals, *, gaps: bool = False) -> None:
-    """Draw the error over time; with `gaps` only samples that are compared."""
-    values = np.where(axis.compared, axis.error, np.nan) if gaps else axis.error
-    axes.plot(axis.time, values, color=ERROR, linewidth=0.6, label="error")
+def draw_error(axes: Axes, axis: AxisSignals) -> None:
+    """Draw the error over time where the signals are compared."""
+    axes.plot(axis.time, np.where(axis.compared, axis.error, np.nan), color=ERROR, linewidth=0.6, label="error")
 
 
 def _compare(axes: Axes, axis: AxisSignals, x: FloatArray, measured: FloatArray, predicted: FloatArray) -> None:
@@ -178,8 +177,8 @@ def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
     if len(axes) > 1:
         figure, drawn = panels((*(230,) * (len(axes) - 1), 255), title=title, share_x=True)
         for place, axis in zip(drawn, axes, strict=True):
-            draw_torque(place, axis, gaps=True)
-            draw_error(place, axis, gaps=True)
+            draw_torque(place, axis)
+            draw_error(place, axis)
             place.set_title(f"{axis.name}, {100 * axis.relative_error:.3g} % left")
         drawn[-1].set_xlabel("time [s]")
         return figure

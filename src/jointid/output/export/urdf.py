@@ -12,13 +12,14 @@ and near its own.
 
 from __future__ import annotations
 
-import math
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jointid.common.arrays import FloatArray
 from jointid.config.robot_model import LARGEST, parse_model, read_robot
@@ -94,13 +95,9 @@ def _fill_inertial(element: ET.Element, solid: MassProperties) -> None:
 
 
 def _angles(rotation: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw about fixed axes; yaw 0 at 90° pitch."""
-    level = math.hypot(rotation[0, 0], rotation[1, 0])
-    pitch = math.atan2(-rotation[2, 0], level)
-    if level < 1e-12:
-        return np.array([math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
-    roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
-    return np.array([roll, pitch, yaw])
+    """Roll, pitch and yaw about fixed axes; one of them is 0 at 90° pitch."""
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # there, others are the same rotation
+        return np.asarray(Rotation.from_matrix(rotation).as_euler("xyz"))
 
 
 def _replace(text: str, found: Sequence[Body], locked: Mapping[str, float]) -> tuple[ET.Element, list[str]]:

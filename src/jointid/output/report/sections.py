@@ -17,6 +17,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from jointid import __version__
 from jointid.common.charts import svg
 from jointid.common.document import (
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
 
     from jointid.models.joints import ClosedLoop
     from jointid.output.report import Report
+    from jointid.records.record import Channel
 
 PAGES = (".html", ".htm")
 _FEW = 4  # headings: a shorter page needs no list of contents
@@ -67,7 +70,6 @@ def page(document: Document) -> str:
         title=document.title,
         blocks=[(block, anchors.get(place, "")) for place, block in enumerate(document.blocks)],
         contents=contents if len(contents) >= _FEW else [],
-        style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
         answer=document.answer,
         element=REPORT_ELEMENT,
     )  # fmt: skip
@@ -135,31 +137,28 @@ _TONES: Mapping[Trust, Tone] = {Trust.RELIABLE: "good", Trust.PARTLY: "good", Tr
 _PICTURES = {
     "torque": (
         "",
-        "Measured and predicted torque lie on each other where the model is right; below is what they differ by. The "
-        "motion is {motion}. Lines break where nothing is compared.",
+        "Measured and predicted torque, and their difference below. The motion is {motion}. Lines break where nothing "
+        "is compared.",
     ),
     "residual": (
         "Residual",
-        "The error against the {motion} velocity and position of the motor, with its mean over all samples. Noise "
-        "alone has a mean of 0 everywhere: a mean that bends with velocity is friction, one that waves with position "
-        "is cogging, gravity or a screw's pitch.",
+        "The error against the {motion} velocity and position of the motor, with its mean over all samples. A mean "
+        "that bends with velocity is friction. One that repeats with position is cogging, gravity or a screw's pitch.",
     ),
     "spectra": (
         "Spectra",
-        "Amplitude spectra. Where the error lies well below the measured torque the model explains it; where it "
-        "reaches it, nothing is explained. The joint's frequencies are marked.",
+        "Amplitude spectra, with the joint's frequencies. Where the error is as large as the measured torque, the "
+        "model explains nothing.",
     ),
     "response": (
         "Frequency response",
-        "What the identified joint answers to its motor's torque moving forwards, without Coulomb friction. Before a "
-        "spring the motor shows a dip at the motor-locked frequency and a peak at the free-free one; a controller has "
-        "to stay away from the latter, or damp it.",
+        "Velocity of the identified joint per motor torque, without Coulomb friction. The motor side has a dip at the "
+        "motor-locked frequency, and a peak at the free-free one, which a controller must avoid or damp.",
     ),
     "profiles": (
         "Profiles",
-        "Each quantity held away from its estimate, all others fitted again: how many standard deviations the "
-        "criterion has risen. The interval ends where the line passes 2; the dashed line is that of the table's "
-        "interval. Where the two part, the profile is to be believed.",
+        "The rise of the criterion in standard deviations, where a quantity is held and all others are fitted again. "
+        "The interval ends at a rise of 2. The dashed line is that of the table: where they differ, use the profile.",
     ),
     "tuning": (
         "Tuned loop",
@@ -188,7 +187,6 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
         yield Heading(f"Prediction of {check.record}")
         yield from _part(check)
     yield Heading("Appendix")
-    yield Paragraph("What stands behind that: every check, picture and setting, and how to repeat it.")
     yield Heading("The estimate in full")
     yield from _part(estimate, details=True)
     for part, title in ((given.diagnosis, "Controller and log"), (given.validation, "Validation"), (tuned, "Loop")):
@@ -258,8 +256,9 @@ def _result(given: Report) -> Iterator[Block]:
         if resonances := resonance_sentence(estimate):
             yield Paragraph(resonances)
         yield Picture("axis.svg", lambda: svg(axis_figure(estimate), "axis"), "The axis, with 2 sigma", wide=False)
-        if estimate.settings.loop is not None:
-            yield Facts((("Controller as declared", _describe_controller(estimate.settings.loop)),))
+        loop, motion = estimate.settings.loop, given.channels.get("reference")
+        declared = [("Controller as declared", _describe_controller(loop))] if loop is not None else []
+        yield Facts((*declared, *([("Motion", _describe_motion(motion))] if motion is not None else [])))
     else:
         yield Paragraph("All numbers are behind the gears.")
 
@@ -272,15 +271,20 @@ def _describe_controller(loop: ClosedLoop) -> str:
     return ", ".join(f"{name_number(name)} {number(stated[name], 3)} {units[name]}".rstrip() for name in stated)
 
 
+def _describe_motion(reference: Channel) -> str:
+    """Return duration, rate, travel and largest speed of a reference."""
+    travel, step = np.ptp(reference.values), np.abs(np.diff(reference.values)).max()
+    size = f"{travel:.3g} {reference.unit} at up to {step / reference.sample_time:.3g} {reference.unit}/s"
+    return f"{reference.duration:.3g} s at {1.0 / reference.sample_time:.4g} Hz, {size}"
+
+
 def _settings(given: Report) -> Iterator[Block]:
     """Yield filter settings, the record's channels, and how to repeat the report."""
     estimate, repetition = given.estimate, given.repetition
-    f, fit = estimate.settings.filtering, estimate.fit
+    f = estimate.settings.filtering
     position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"
     facts = (
         ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
-        ("Rows fitted", str(fit.rows)),
-        ("Left out of the raw error", f"{f.borders[0]} samples at the start, {f.borders[1]} at the end"),
         ("Delay of the torque", f"{1e3 * estimate.settings.delay:.4g} ms"),
         *(("Torque, SHA-256 of its samples", one) for one in estimate.data.fingerprints if one),
     )
