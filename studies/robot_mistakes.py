@@ -55,9 +55,9 @@ class Truth:
 
 def robots() -> tuple[Robot, ...]:
     """Return three robots, of 4, 5 and 6 joints, with limits of their positions."""
-    panda = seven().robot
+    panda, room = seven().robot, ji.AxisLimits(-3.1, 3.1)
     found = arm(4), replace(panda, links=panda.links[:5], joints=panda.joints[:5]), six().robot
-    return tuple(replace(one, links=tuple(replace(link, limits=(-3.1, 3.1)) for link in one.links)) for one in found)
+    return tuple(replace(one, links=tuple(replace(link, limits=room) for link in one.links)) for one in found)
 
 
 def declared(robot: Robot, seed: int) -> Robot:

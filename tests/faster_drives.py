@@ -17,11 +17,7 @@ SERVO = ji.controller.PD(position_gain=2500.0, derivative_gain=95.0, velocity_fi
 
 
 def drive(
-    law: ji.controller.Cascade | ji.controller.PD,
-    times: int,
-    *,
-    flexible: bool = False,
-    noise: float = 0.3,
+    law: ji.controller.Cascade | ji.controller.PD, times: int, *, flexible: bool = False, noise: float = 0.3
 ) -> tuple[ji.Record, ji.ClosedLoop]:
     """The log, at 1 kHz, of a drive that runs so many times as fast, and its loop without the period."""
     fine, rng = LOG / times, np.random.default_rng(1)

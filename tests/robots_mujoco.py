@@ -9,12 +9,7 @@ from jointid.models.robots.robot import Robot
 
 
 def simulate_by_mujoco(
-    robot: Robot,
-    gains: FloatArray,
-    references: FloatArray,
-    period: float,
-    start: FloatArray,
-    step: float = 1e-4,
+    robot: Robot, gains: FloatArray, references: FloatArray, period: float, start: FloatArray, step: float = 1e-4
 ) -> tuple[FloatArray, FloatArray]:
     """Return torques and motor positions, (periods, n), of a robot under PD laws with backward differences.
 

@@ -7,6 +7,7 @@ import pytest
 
 from jointid.common.errors import JointFileError
 from jointid.config.robot_model import load_robot, read_robot
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.dynamics import inverse_dynamics
 from tests.models.robots.trees import as_mjcf, by_mujoco, random_robot
 
@@ -241,3 +242,18 @@ def test_locked_joints_load_the_others_as_if_they_stood_still(tie: str, locked: 
 def test_a_tie_between_joints_that_move_names_the_key(tie: str, locked: dict[str, float]) -> None:
     with pytest.raises(JointFileError, match=r"robot\.locked"):
         read_robot(HAND.format(tie), locked=locked)
+
+
+def test_limits_are_those_of_the_model_and_a_turned_zero_moves_them() -> None:
+    robot, _ = read_robot(URDF.replace('effort="1"', 'effort="0"').replace('velocity="1"', 'velocity="0.3"'))
+    assert [link.limits for link in robot.links] == [AxisLimits(), AxisLimits(-1.0, 1.0, speed=0.3)]
+    assert robot.links[1].turn(0.25).limits == AxisLimits(-1.25, 0.75, speed=0.3)
+
+
+def test_a_hundred_joints_may_move_however_many_are_locked() -> None:
+    joint = '<body pos="0.1 0 0"><joint name="j{}"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    text = f"<mujoco><worldbody>{''.join(map(joint.format, range(120)))}{'</body>' * 120}</worldbody></mujoco>"
+    robot, _ = read_robot(text, locked={f"j{k}": 0.0 for k in range(118)})
+    assert robot.names == ("j118", "j119")
+    with pytest.raises(JointFileError, match="120 joints move"):
+        read_robot(text)

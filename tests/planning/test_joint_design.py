@@ -76,7 +76,7 @@ def test_without_a_record_a_test_keeps_limits_of_jerk_and_positions(monkeypatch:
     found = ji.design(LOOP, search_time=30.0, **asked)
     (reached,) = (axis.reached for axis in found.axes)
     assert reached["lower"] >= 1.0 and reached["upper"] <= 2.5 and reached["jerk"] < 400.0 * 1.05
-    assert found.axes[0].limits.given["stroke"] == 1.5 and not found.passed
+    assert found.axes[0].limits.stated["stroke"] == 1.5 and not found.passed
     assert found.present is None and found.floor is None
     outside = planned_record(LOOP, 0.8 + 0.5 * (1.0 - np.cos(np.arange(4000) * 4e-3)), 1e-3)
     told = ji.design(LOOP, motion=outside, **asked)

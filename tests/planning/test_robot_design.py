@@ -208,3 +208,13 @@ def test_the_intervals_of_a_spring_that_was_guessed_hold_over_the_guess() -> Non
 def q_fed(loop: RobotLoop, q: FloatArray) -> tuple[Record, ...]:
     """Return references of two motors with the feed-forward of the inverse model."""
     return add_feed_forward(loop, tuple(Record(reference=Channel(one, "rad", 1e-3)) for one in q.T.copy()))
+
+
+def test_limits_of_the_model_complete_those_that_are_given() -> None:
+    robot = two().robot
+    links = tuple(replace(link, limits=AxisLimits(lower=-0.3, upper=0.2, speed=0.7)) for link in robot.links)
+    asked = {"duration": 4.0, "sample_time": T, "search_time": 0.2}
+    found = design(replace(robot, links=links), limits=(AxisLimits(speed=0.5), AxisLimits(upper=0.1)), **asked)
+    q = reference_of(found)
+    assert np.all(q > -0.3) and np.all(q < [0.2, 0.1])
+    assert np.all(np.abs(np.gradient(q, T, axis=0)).max(axis=0) < [0.5, 0.7])

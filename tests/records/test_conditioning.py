@@ -85,6 +85,15 @@ def test_whole_numbers_that_lost_their_sign_have_it_again(saved: Saved, size: in
         assert ji.read(path, {"torque": column}).remarks == ()
 
 
+@pytest.mark.parametrize(("mean", "lost"), [(0.0, True), (1.3, False), (0.31, True), (3.0, False)])
+def test_a_torque_without_its_sign_is_told_from_one_of_one_sign(mean: float, lost: bool) -> None:
+    torque = mean + np.tile(TORQUE, 4) + 0.02 * np.random.default_rng(2).standard_normal(4 * TIME.size)
+    signed = (torque, np.maximum(torque, 0.0), np.round(np.maximum(torque, 0.0), 1))
+    for values, told in ((np.abs(torque), lost), (-np.abs(torque), lost), *((one, False) for one in signed)):
+        said = find_record_warnings(Record(torque=Channel(values, "N m", T, Timing.HELD)), ("torque",))
+        assert len(said) == told
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 0.1])
 def test_steps_and_noise_are_no_wraps(noise: float) -> None:
     random = np.random.default_rng(3)
@@ -222,3 +231,14 @@ def test_an_encoder_that_is_late_is_found() -> None:
     for load, first in ((late, motor), (motor, late)):
         lag = find_encoder_lag(Record(motor_position=first, load_position=load))
         assert lag == ("load_position" if load is late else "motor_position", pytest.approx(3e-3, rel=0.02))
+
+
+@pytest.mark.parametrize("name", ["Zeit [ms]", "cycle (ms)"])
+def test_a_sample_time_that_the_stamps_of_the_file_contradict_is_refused(saved: Saved, name: str) -> None:
+    exact, coarse = 1e3 * TIME, np.floor(1e3 * TIME / 50) * 50
+    for stamps in (exact, coarse):
+        path = saved(".csv", **{name: stamps, "q": MOTION})
+        for wrong in (0.5, 1.2, 4.889):
+            with pytest.raises(ji.RecordError, match="sample_time is"):
+                ji.read(path, {"motor_position": "q"}, sample_time=wrong * T)
+        assert ji.read(path, {"motor_position": "q"}, sample_time=1.01 * T).motor_position is not None

@@ -49,16 +49,10 @@ def assert_same(table: Table, columns: dict[str, list[float]]) -> None:
 AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
     "German spreadsheet": ("sep=;\r\nt;q\r\n0;1,5\r\n0,1;-2,5e3\r\n", {"t": [0, 0.1], "q": [1.5, -2500]}),
     "four whole numbers": ("1,5,2,5\n1,6,2,6\n", {"1": [1, 1], "2": [5, 6], "3": [2, 2], "4": [5, 6]}),
-    "whole numbers at the end": (
-        "a;b\n0,5;1\n" + "0;0\n" * 300,
-        {"a": [0.5] + [0] * 300, "b": [1] + [0] * 300},
-    ),
+    "whole numbers at the end": ("a;b\n0,5;1\n" + "0;0\n" * 300, {"a": [0.5] + [0] * 300, "b": [1] + [0] * 300}),
     "quoted decimal commas": ('"a","b"\n"1,5","2,5"\n', {"a": [1.5], "b": [2.5]}),
     "quoted names": ('"Motor pos, [mm]";"i ""q"""\n1;2\n', {"Motor pos, [mm]": [1], 'i "q"': [2]}),
-    "quoted names, blanks between": (
-        '"motor position" torque\n1 2\n',
-        {"motor position": [1], "torque": [2]},
-    ),
+    "quoted names, blanks between": ('"motor position" torque\n1 2\n', {"motor position": [1], "torque": [2]}),
     "aligned with blanks": ("   t    q\n   0  1.5\n  10   -2\n", {"t": [0, 10], "q": [1.5, -2]}),
     "comments": ("% run 7\n// drive 3\nt,q\n# s, m\n0,1\n\n# late\n1,2\n", {"t": [0, 1], "q": [1, 2]}),
     "preamble without names": ("Scope export\n0;1\n1;2\n", {"1": [0, 1], "2": [1, 2]}),
@@ -87,12 +81,7 @@ AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
     ),
     "names nobody uses": (
         "t,q,Not selected,Not selected\n0,1,0,0\n",
-        {
-            "t": [0],
-            "q": [1],
-            "column 3: Not selected": [0],
-            "column 4: Not selected": [0],
-        },
+        {"t": [0], "q": [1], "column 3: Not selected": [0], "column 4: Not selected": [0]},
     ),
     "a column of words": ("t,q,state\n0,1,idle\n1,2,run\n", {"t": [0, 1], "q": [1, 2]}),
     "a first column of truth": ("on;t;q\nTrue;0;1,5\nFalse;1;2,5\n", {"t": [0, 1], "q": [1.5, 2.5]}),
@@ -248,13 +237,7 @@ MARKS = [p for p in itertools.product(";\t|, ", ".,") if p != (",", ",")]
     preamble=st.sampled_from(["", "Export\n", "# made by a drive\n\n"]),
 )
 def test_every_dialect_is_found(
-    table: Table,
-    marks: tuple[str, str],
-    header: bool,
-    newline: str,
-    encoding: str,
-    preamble: str,
-    read: Read,
+    table: Table, marks: tuple[str, str], header: bool, newline: str, encoding: str, preamble: str, read: Read
 ) -> None:
     delimiter, decimal = marks
     rows = zip(*(values.tolist() for values in table.columns.values()), strict=True)

@@ -91,10 +91,7 @@ def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: in
     made, clock = tmp_path / "day.npy", {"time": "t"} if overlap else {"sample_time": 0.01}
     write_table(made, Table(numbers(rows)))
     log = Log(made, CHANNELS, clock)
-    for pieces in (
-        list(log.chunks(20, overlap)),
-        list(InMemory(ji.read(made, CHANNELS)).chunks(20, overlap)),
-    ):
+    for pieces in (list(log.chunks(20, overlap)), list(InMemory(ji.read(made, CHANNELS)).chunks(20, overlap))):
         assert [p.last for p in pieces] == [False] * (count - 1) + [True]
         torque = pieces[-1].record.torque
         assert len(torque) == rows - 20 * (count - 1)

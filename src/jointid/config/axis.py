@@ -26,7 +26,7 @@ from jointid.models.limits import AxisLimits
 from jointid.models.springs import Spring
 from jointid.records.checks import check_record
 from jointid.records.clock import Cut
-from jointid.records.columns import Column, known_units
+from jointid.records.columns import Column, known_units, unit_in_name
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.reading import RecordReader
@@ -385,7 +385,8 @@ def _check_torque(axis: Axis) -> Iterator[Fault]:
     units, channels = axis.units, ("record", "channels")
     for name, column in axis.columns.items():
         known = known_units(name, units.kind_of(axis.drive.side(name, column)))
-        if named := column.doubled_unit(known):
+        named = None if column.unit is None or column.gain != 1 else unit_in_name(column.column, known)
+        if named in known and named != column.stated_unit(known):
             rest = f' is "{column.unit}", but its column names "{named}": leave unit out, or rename the column.'
             yield fault_at((*channels, name, "unit"), rest, "unit")
         other = units.find_torque_unit(column)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +25,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, extra
 from jointid.common.units import Kind
 from jointid.config.toml import read_text
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.inertial import MassProperties, change_frame
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 
@@ -110,12 +111,15 @@ def read_robot(
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
         remarks = tuple(f"{called}: {one}" for one in (*_forget_impossible(kept), *_name_meshes(root, by_shapes)))
-        with _quiet(mujoco), np.errstate(all="ignore"):  # a robot asks for finite numbers
+        with ExitStack() as after, np.errstate(all="ignore"):  # a robot asks for finite numbers
+            after.callback(mujoco.set_mju_user_warning, mujoco.get_mju_user_warning())
+            mujoco.set_mju_user_warning(lambda _: None)  # neither on the terminal nor in a log file
             model = mujoco.MjModel.from_xml_string(ET.tostring(kept, encoding="unicode"))
             if (moving := model.njnt - len(locked)) > _MOST_JOINTS:
                 raise MethodError(f"{moving} joints move, of at most {_MOST_JOINTS}")
             _require_free(root, model, locked, called)
-            robot, carried = _build(mujoco, model, root.get("name") or root.get("model") or "robot", locked)
+            stated = {one.get("name", ""): one.find("limit") for one in kept.iter("joint")}
+            robot, carried = _build(mujoco, model, root.get("name") or root.get("model") or "robot", locked, stated)
     except (ValueError, MethodError, mujoco.FatalError, MemoryError) as error:
         reason = " ".join(str(error).split())[:300] or "it takes too much memory"
         raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
@@ -294,19 +298,10 @@ def _ties(root: ET.Element) -> Iterator[set[str]]:
         yield {*filter(None, (first, second))} if key == "joint" else find_joints(tag, first) ^ find_joints(tag, second)
 
 
-@contextmanager
-def _quiet(mujoco: Any) -> Iterator[None]:
-    """Suppress MuJoCo's warnings on the terminal and in a log file."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
-
-
-def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tuple[Robot, Mapping[str, Carried]]:
-    """Return the robot of a model, and the bodies of each joint.
+def _build(
+    mujoco: Any, model: Any, name: str, still: Mapping[str, float], stated: Mapping[str, ET.Element | None]
+) -> tuple[Robot, Mapping[str, Carried]]:
+    """Return the robot of a model and its stated limits, and the bodies of each joint.
 
     A body with a locked joint is merged with its parent link.
     """
@@ -319,7 +314,9 @@ def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tu
         body = model.body(number).name or f"link{number}"
         first, count = int(model.body_jntadr[number]), int(model.body_jntnum[number])
         for place in range(first, first + count):
-            joint = _joint(model, place)
+            numbers = (model.dof_armature, model.dof_damping, model.dof_frictionloss)
+            rotor, damping, loss = (float(np.ravel(one[int(model.jnt_dofadr[place])])[0]) for one in numbers)
+            joint = RobotJoint(model.joint(place).name or f"joint{place + 1}", rotor, damping, loss)
             kind: Kind = "revolute" if model.jnt_type[place] == mujoco.mjtJoint.mjJNT_HINGE else "prismatic"
             anchor, axis = model.jnt_pos[place].copy(), model.jnt_axis[place] / np.linalg.norm(model.jnt_axis[place])
             # The model is drawn at qpos0, so that position is subtracted.
@@ -334,8 +331,7 @@ def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tu
                 continue
             joints.append(joint)
             carried[joint.name] = {}
-            low, high = map(float, model.jnt_range[place])
-            limits = (low, high) if model.jnt_limited[place] else None
+            limits = _limits(model, place, stated.get(joint.name))
             called = body if place == first + count - 1 else f"{body} {place - first + 1}"
             links.append(Link(called, carrier, kind, axis, rotation, origin, limits=limits))
             carrier, rotation, origin = len(links) - 1, np.eye(3), -anchor
@@ -348,11 +344,12 @@ def _build(mujoco: Any, model: Any, name: str, still: Mapping[str, float]) -> tu
     return Robot(tuple(links), tuple(joints), np.array(model.opt.gravity), name), carried
 
 
-def _joint(model: Any, number: int) -> RobotJoint:
-    name, dof = model.joint(number).name or f"joint{number + 1}", int(model.jnt_dofadr[number])
-    numbers = (model.dof_armature, model.dof_damping, model.dof_frictionloss)
-    armature, damping, loss = (float(np.ravel(values[dof])[0]) for values in numbers)
-    return RobotJoint(name, armature, damping, loss)
+def _limits(model: Any, number: int, stated: ET.Element | None) -> AxisLimits:
+    """Return a joint's limits; a speed or an effort of 0 is none."""
+    low, high = map(float, model.jnt_range[number])
+    limits = AxisLimits(low, high) if model.jnt_limited[number] and low < high else AxisLimits()
+    sizes = {} if stated is None else {"speed": stated.get("velocity", "0"), "torque": stated.get("effort", "0")}
+    return replace(limits, **{name: float(size) for name, size in sizes.items() if 0.0 < float(size) < math.inf})
 
 
 def _body(model: Any, number: int) -> FloatArray:

@@ -259,8 +259,8 @@ def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None
             faults += [f"{name}: {said}" for said in scale_faults(record)]
             limits, alone = robot.links[k].limits, np.count_nonzero(back[k]) == 1
             position = record.motor_position or record.reference
-            if limits is not None and alone and position is not None:
-                faults += [f"{name}: {said}" for said in range_faults(position, limits)]
+            if limits.lower is not None and limits.upper is not None and alone and position is not None:
+                faults += [f"{name}: {said}" for said in range_faults(position, (limits.lower, limits.upper))]
     if faults:
         raise RecordError(dict.fromkeys(faults))
 

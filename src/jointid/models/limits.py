@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from jointid.common.errors import MethodError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import number
 
-_NO_SIZES = ("lower", "upper", "lowest", "highest")
+_ENDS = {"lower": -1.0, "upper": 1.0}  # positions, and the direction beyond them
 _SLACK = 1e-9  # relative: what rounding passes a limit by
 
 
@@ -53,26 +53,23 @@ class AxisLimits:
             )
 
     @property
-    def given(self) -> dict[str, float]:
-        """Given limits by name; the stroke is at most `upper - lower`."""
-        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _NO_SIZES}
+    def stated(self) -> dict[str, float]:
+        """Given limits by name, but those of a frequency; the stroke is at most `upper - lower`."""
+        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("lowest", "highest")}
         if self.lower is not None and self.upper is not None:
             found["stroke"] = min(self.stroke or math.inf, self.upper - self.lower)
         return {name: value for name, value in found.items() if value is not None}
 
-    @property
-    def stated(self) -> dict[str, float]:
-        """Given limits of sizes and positions by name."""
-        positions = {"lower": self.lower, "upper": self.upper}
-        return {name: value for name, value in positions.items() if value is not None} | self.given
+    def complete(self, others: AxisLimits) -> AxisLimits:
+        """Add other limits of sizes and positions that are not given."""
+        return replace(self, **{name: size for name, size in others.stated.items() if name not in self.stated})
 
 
 def find_excess(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
     """Factors by which limits are exceeded; for positions 1 plus the distance."""
-    over = {name: found[name] / limit for name, limit in limits.given.items() if name in found}
-    for name, sign in (("lower", -1.0), ("upper", 1.0)):
-        if name in limits.stated and name in found:
-            over[name] = 1.0 + sign * (found[name] - limits.stated[name])
+    known = {name: limit for name, limit in limits.stated.items() if name in found}
+    sizes = {name: found[name] / limit for name, limit in known.items() if name not in _ENDS}
+    over = sizes | {name: 1.0 + _ENDS[name] * (found[name] - known[name]) for name in _ENDS if name in known}
     return {name: factor for name, factor in over.items() if factor > 1 + _SLACK}
 
 

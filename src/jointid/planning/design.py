@@ -68,7 +68,7 @@ def design(
         noise: standard deviations {"log": of white noise on the torque, "force": of a white force on the motor}; by
             default the residual of the record. Of a robot one for each joint; without a record 1 % of the torque.
         goal: a parameter, a sum or a difference of parameters, or "all" (the volume of all intervals).
-        limits: of the axis; of a robot those of each joint.
+        limits: of the axis; of a robot those of each joint, completed by its model's where no record is given.
         motion: a test of your own, or a past record, which is predicted instead of a search; of a robot one for each
             joint.
         within: tolerance of each value in percent, 2 sigma: limits are kept, and intervals predicted, for
@@ -119,6 +119,7 @@ def design(
             f"records, {len(bounds)} limits and {len(played)} references."
         )
     of_joint: dict[str, Any] = {"values": values, "parameters": parameters}
+    bounds = bounds or (AxisLimits(),) * count
     common: dict[str, Any] = {"within": within, "filtering": filtering, "seed": seed}
     known: JointModel | RobotModel
     if isinstance(model, ClosedLoop) or (isinstance(model, Estimate) and model.robot is None):
@@ -134,7 +135,9 @@ def design(
         at = _read_times(present, played, duration, sample_time, (_DURATION, _SAMPLE_TIME))
         common |= {"loop": loop, "feed_forward": feed_forward}
         known = robot_model(model, present, at, noise=None if noise is None else np.asarray(noise), **common)
-    return _design(known, goal, bounds or (AxisLimits(),) * count, played, (search_time, seed), progress)
+        if not present:
+            bounds = tuple(one.complete(link.limits) for one, link in zip(bounds, known.robot.links, strict=True))
+    return _design(known, goal, bounds, played, (search_time, seed), progress)
 
 
 def _read_times(

@@ -177,9 +177,10 @@ class Design(Documented):
         tests, proposed = self.tests, self.proposed
         rows = []
         for name in proposed.joint:
-            stds = (_sigma(prediction.std[name]) for prediction in tests.values())
+            stds = [2 * float(prediction.std[name]) for prediction in tests.values()]
+            sigmas = (number(std, 2) if math.isfinite(std) else "not determined" for std in stds)
             about, unit = number(proposed.values[name], 4), proposed.units[name]
-            rows.append((in_words(name), about, *stds, unit, proposed.symbols[name]))
+            rows.append((in_words(name), about, *sigmas, unit, proposed.symbols[name]))
         header = ("parameter", "about", *tests, "unit", "symbol")
         reached = [
             (name.replace("_", " "), *(axis.cell(name) for axis in self.axes))
@@ -304,7 +305,3 @@ def _columns(axes: Sequence[DesignedAxis], records: Sequence[Record]) -> dict[st
             found.setdefault("t", channel.time)
             found[f"{axis.name}.{name}" if axis.name else name] = channel.values
     return found
-
-
-def _sigma(std: float) -> str:
-    return number(2 * float(std), 2) if math.isfinite(std) else "not determined"

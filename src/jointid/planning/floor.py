@@ -112,7 +112,7 @@ def least_deviation(
     spectrum = noise.log**2 + force**2 * np.abs(H * P * S) ** 2
     information = samples * np.real(np.conj(g)[:, np.newaxis] * g[np.newaxis]) / spectrum  # (parameters, parameters, f)
     most, square = power**2 - friction**2, np.abs(P) ** 2
-    allowed = np.vstack([np.full(hertz.size, 1 / most), square / (0.5 * limits.given.get("stroke", math.inf)) ** 2])
+    allowed = np.vstack([np.full(hertz.size, 1 / most), square / (0.5 * limits.stated.get("stroke", math.inf)) ** 2])
     variance, found = _least_variance(information, allowed, np.array([weights.get(name, 0.0) for name in _PARAMETERS]))
     known = noise.left is None and goal.weights
     return Floor(math.sqrt(variance) if known else None, hertz, found, np.abs(S))

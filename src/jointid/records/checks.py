@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.units import unit, units_of
 from jointid.records.columns import finite_faults
@@ -38,6 +39,7 @@ _MOSTLY = 0.95  # share of the positions that are such multiples
 _PARTS = 5  # most steps in the smallest gap: an axis that never rests may skip some
 _SLOW = 0.04  # of the sampling frequency: below are the motions of a joint, above is noise
 _FEWEST_SAMPLES = 100
+_FEWEST_BOUNCES, _NEAR_ZERO = 10, 0.02  # of a torque that lost its sign, and how near to 0, as a share of its largest
 # Ranges of a channel's largest number, in SI, and of its sample time: wider than any sensor's, while sums of squares
 # do not overflow.
 _NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
@@ -176,17 +178,11 @@ def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:
         gains.append(gain)
     if not (gains[0] > 0 and left[0] < (1 - _BY_DEVIATION) * torque.values.var() * len(torque)):
         return False
-    # A torque that the reference explains as well is no evidence against a wrong unit or gear.
-    return left[0] < _BETTER * left[1] or not _is_plain_ratio(float(np.std(is_) / np.std(asked)), motor.unit)
-
-
-def _is_plain_ratio(ratio: float, declared: str) -> bool:
-    """Test for the ratio of a unit, or of an integer gear."""
-    alike = map(unit, units_of(unit(declared).dimension))
+    ratio, alike = float(np.std(is_) / np.std(asked)), map(unit, units_of(unit(motor.unit).dimension))
     units = (factor for one in alike for factor in (one.factor, 1 / one.factor))
-    return abs(ratio * round(1 / ratio) - 1) < _GEAR_TOLERANCE or any(
-        abs(ratio * factor - 1) < _RATIO_TOLERANCE for factor in units
-    )
+    gear = abs(ratio * round(1 / ratio) - 1) < _GEAR_TOLERANCE
+    # A torque that the reference explains as well is no evidence against a wrong unit or gear.
+    return left[0] < _BETTER * left[1] or not (gear or any(abs(ratio * one - 1) < _RATIO_TOLERANCE for one in units))
 
 
 def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) -> Iterator[str]:
@@ -215,7 +211,19 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
             f"the torque changes only every {every} samples: it is logged more often than it is refreshed; give its "
             f"channel sample_time = {every * torque.sample_time:g}, or it is read up to that much too late"
         )
+    if torque is not None and "torque" in channels and (turns := _count_bounces(torque.values)) >= _FEWEST_BOUNCES:
+        notes.append(
+            f"the torque turns back at 0 {turns} times and never passes it: log it with its sign, which is lost"
+        )
     return tuple(notes)
+
+
+def _count_bounces(values: FloatArray) -> int:
+    """Count how often a signal of one sign turns back next to 0, less how often it stays there."""
+    size = values if values.min() >= 0 else -values
+    inner, near = size[1:-1], _NEAR_ZERO * float(size.max())
+    turns = np.count_nonzero((inner < size[:-2]) & (inner < size[2:]) & (inner <= near))
+    return int(turns - np.count_nonzero((inner == 0) & (size[2:] == 0))) if size.min() >= 0 else 0
 
 
 def find_encoder_lag(record: Record) -> tuple[str, float] | None:

@@ -47,12 +47,6 @@ class Log:
 
     Raises:
         RecordError: a column has a separate sample time or time column, or resampling is set.
-
-    Example:
-        >>> from jointid.records.chunks import Log
-        >>> day = Log("day.csv", {"torque": "i_q", "reference": "pos_cmd"}, {"sample_time": 1e-3})
-        >>> day.name
-        'day'
     """
 
     path: str | os.PathLike[str]

@@ -15,7 +15,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import pluralise
 from jointid.records.columns import unit_fault, unit_in_name
 from jointid.records.formats import Table
-from jointid.records.formats.table import TIME_NAME
+from jointid.records.formats.table import STAMP_NAME, TIME_NAME
 from jointid.records.record import Spans
 
 # Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
@@ -62,7 +62,7 @@ def find_stamps(
 
     Args:
         table: of the samples.
-        time: name of the time column; None takes the only one called t or time.
+        time: name of the time column; None takes the only one called t or time, else timestamp, stamp or Zeit.
         time_unit: None takes the unit in the name, or s.
         sample_time: seconds; it defines the clock if `time` is None.
 
@@ -70,8 +70,10 @@ def find_stamps(
         RecordError: there is no clock, or its unit is unknown.
     """
     if sample_time is not None and time is None:
+        _require_rate(table, sample_time)
         return "", np.asarray(np.arange(table.rows) * sample_time, dtype=np.float64)
-    names = [name for name in table.columns if name == time or (time is None and TIME_NAME.fullmatch(name))]
+    usual = ([name for name in table.columns if one.fullmatch(name)] for one in (TIME_NAME, STAMP_NAME))
+    names = next(filter(None, usual), []) if time is None else [time] if time in table.columns else []
     if len(names) != 1:
         why = table.explain_missing([time] if time else (one for one in table.passed if TIME_NAME.fullmatch(one)))
         called = f'"{time}"' if time else 'that alone is called "t" or "time"'
@@ -83,6 +85,21 @@ def find_stamps(
     stamps = table.columns[column] * seconds_of(table, column, time_unit)
     # A column of nanoseconds beside one of whole seconds restarts every second.
     return column, np.unwrap(stamps, period=1.0) if np.all((stamps >= 0.0) & (stamps < 1.0)) else stamps
+
+
+def _require_rate(table: Table, sample_time: float) -> None:
+    """Refuse a sample time that rising stamps in the file, with their unit, contradict by more than two steps."""
+    known = units.units_of("time")
+    for name in table.columns:
+        if (unit_in_name(name, known) or units.normalise_unit(table.units.get(name, ""))) in known:
+            steps = np.diff(table.columns[name]) * seconds_of(table, name, None)
+            lasts = float(np.sum(steps))
+            off = abs(steps.size * sample_time - lasts)
+            if lasts > 0 and np.all(steps >= 0) and off > 2 * float(np.max(steps)) + CLOCK_TOLERANCE * lasts:
+                raise RecordError(
+                    f'sample_time is {sample_time:g} s, and column "{name}" has {lasts / steps.size:.4g} s: leave '
+                    f'sample_time out, and give time = "{name}".'
+                )
 
 
 def fit_clock(column: str, stamps: FloatArray, sample_time: float | None, *, resampled: bool = False) -> Clock:

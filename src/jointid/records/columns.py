@@ -99,11 +99,6 @@ class Column:
             return self.unit if self.unit in known else units.normalise_unit(self.unit)
         return None if self.gain != 1 else unit_in_name(self.column, known)
 
-    def doubled_unit(self, known: tuple[str, ...]) -> str | None:
-        """Unit in the column's name that contradicts the declared one, or None."""
-        named = None if self.unit is None or self.gain != 1 else unit_in_name(self.column, known)
-        return named if named in known and named != self.stated_unit(known) else None
-
 
 def as_columns(given: Mapping[str, str | Column]) -> dict[str, Column]:
     """Convert column names to `Column` objects, by channel."""

@@ -118,11 +118,7 @@ def attacks() -> Iterator[bytes]:
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
 def test_no_request_brings_the_page_down_or_has_it_tell_what_it_should_not(
-    served: Served,
-    folder: Path,
-    log: bytes,
-    caplog: pytest.LogCaptureFixture,
-    capfd: pytest.CaptureFixture[str],
+    served: Served, folder: Path, log: bytes, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (folder.parent / "secret.txt").write_text(SECRET)
     assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303

@@ -16,12 +16,7 @@ from tests.rigid_axis import run
 
 pytestmark = pytest.mark.browser
 
-LAW = {
-    "position_gain": "160.18",
-    "velocity_gain": "243.45",
-    "gain": "35,15065188",
-    "limit": "10",
-}
+LAW = {"position_gain": "160.18", "velocity_gain": "243.45", "gain": "35,15065188", "limit": "10"}
 PATIENCE = 240_000  # ms
 DESK, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 

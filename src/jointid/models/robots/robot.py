@@ -27,6 +27,7 @@ from jointid.common.units import Kind
 from jointid.models.controllers import Controller
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, of_whole
+from jointid.models.limits import AxisLimits
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.springs import Spring
 
@@ -68,7 +69,7 @@ class Link:
         rotation: (3, 3) of the link's frame to its parent's at q = 0.
         origin: (3,) of the link's frame, which lies on the joint, in its parent's at q = 0, m.
         inertial: (10,) see `inertial`.
-        limits: of the joint's position as the model states them, rad or m; None where it states none.
+        limits: of the joint, as the model states them.
     """
 
     name: str
@@ -78,16 +79,18 @@ class Link:
     rotation: FloatArray = field(default_factory=lambda: np.eye(3))
     origin: FloatArray = field(default_factory=lambda: np.zeros(3))
     inertial: FloatArray = field(default_factory=lambda: np.zeros(10))
-    limits: tuple[float, float] | None = None
+    limits: AxisLimits = field(default_factory=AxisLimits)
 
     def turn(self, zero: float) -> Link:
-        """Move the joint's zero to a position, rad or m, frame included."""
+        """Move the joint's zero to a position, rad or m, frame and limits included."""
+        ends = {name: end - zero for name, end in self.limits.stated.items() if name in ("lower", "upper")}
+        moved = replace(self, limits=replace(self.limits, **ends))
         if self.kind == "prismatic":
-            return replace(self, origin=self.origin + zero * self.rotation @ self.axis)
+            return replace(moved, origin=self.origin + zero * self.rotation @ self.axis)
         x, y, z = self.axis
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # Rodrigues' formula
         turned = np.eye(3) + np.sin(zero) * cross + (1.0 - np.cos(zero)) * cross @ cross
-        return replace(self, rotation=self.rotation @ turned)
+        return replace(moved, rotation=self.rotation @ turned)
 
 
 @add_settings_to_docstring
@@ -318,9 +321,8 @@ class Robot:
     def with_inertials(self, inertials: FloatArray) -> Robot:
         """Return the robot with other inertial parameters, (n, 10) or (10 n,)."""
         rows = np.asarray(inertials, dtype=np.float64).reshape(len(self), len(SYMBOLS))
-        return replace(
-            self, links=tuple(replace(link, inertial=row) for link, row in zip(self.links, rows, strict=True))
-        )
+        links = (replace(link, inertial=row) for link, row in zip(self.links, rows, strict=True))
+        return replace(self, links=tuple(links))
 
     def turn(self, zeros: FloatArray) -> Robot:
         """Return the robot with other zeros of its joints.

@@ -198,7 +198,10 @@ def index_columns(columns: Iterable[str]) -> Spoken:
     """Index columns by the words of their names."""
     found: dict[tuple[str, ...], list[str]] = {}
     for column in columns:
-        for words in _name_words(column):
+        whole = {column, _BRACKETS.sub("", column)}
+        # With and without prefix and unit; a path keeps its last two parts: a name below a joint is not complete.
+        parts = (name[at:] for name in whole for at in (0, *(m.end() for m in _PREFIX.finditer(name))))
+        for words in set(map(_split_words, parts)):
             found.setdefault(words, []).append(column)
     return found
 
@@ -206,15 +209,6 @@ def index_columns(columns: Iterable[str]) -> Spoken:
 @cache
 def _split_words(name: str) -> tuple[str, ...]:
     return tuple(_WORD.findall(_HUMP.sub(" ", name).casefold()))
-
-
-def _name_words(column: str) -> set[tuple[str, ...]]:
-    """Words of a column name, with and without prefix and unit.
-
-    A path keeps its last two parts: a name below a joint is not complete.
-    """
-    whole = {column, _BRACKETS.sub("", column)}
-    return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in _PREFIX.finditer(name)))}
 
 
 @add_settings_to_docstring

@@ -294,20 +294,15 @@ def read_tdms(path: Path) -> Table:
             raise RecordError(f"{path.name} ends in the middle of its data; log or copy it again.")
         every = [channel for group in file.groups() for channel in group.channels()]
         require_room(path.name, sum(map(len, every)))
-        begins = {channel.path: begin for channel in every if (begin := _find_begin(channel)) is not None}
+        begins = dict[str, np.datetime64]()
+        for one in filter(len, every):  # the first instant of a waveform, or of instants
+            begin = one.read_data(0, 1)[0] if np.dtype(one.dtype).kind == "M" else one.properties.get(_START)
+            begins |= {one.path: begin} if isinstance(begin, np.datetime64) and begin >= _UNSET else {}
         first = min(begins.values(), default=None)
         late = {path: float((begin - first) / np.timedelta64(1, "s")) for path, begin in begins.items()}
         for group in file.groups():
             _take_group(table, group, late)
     return table
-
-
-def _find_begin(channel: Any) -> np.datetime64 | None:
-    """Return the first instant of a waveform or of instants."""
-    if not len(channel):
-        return None
-    begin = channel.read_data(0, 1)[0] if np.dtype(channel.dtype).kind == "M" else channel.properties.get(_START)
-    return begin if isinstance(begin, np.datetime64) and begin >= _UNSET else None
 
 
 def _take_group(table: Table, group: Any, late: dict[str, float]) -> None:

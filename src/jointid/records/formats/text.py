@@ -134,11 +134,6 @@ class Dialect(NamedTuple):
         """Write decimal points, with invalid marks for points beside decimal commas."""
         return text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
 
-    def rewrite(self, cells: Sequence[str], kinds: str) -> str:
-        """Join the cells of a row, numbers with decimal points."""
-        row = zip(cells, kinds, strict=True)
-        return _NOWHERE.join(self.with_points(cell) or "nan" if kind == "n" else cell for cell, kind in row)
-
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -170,7 +165,9 @@ class Layout:
             columns = zip(*rows, strict=True)
             kinds = "".join(_commonest(map(dialect.kind, islice(filter(None, one), _FILLED))) for one in columns)
             with suppress(ValueError):
-                return self._load([dialect.rewrite(row, kinds) for row in rows], _NOWHERE, kinds)
+                every = (zip(row, kinds, strict=True) for row in rows)
+                cells = ([dialect.with_points(c) or "nan" if kind == "n" else c for c, kind in row] for row in every)
+                return self._load(list(map(_NOWHERE.join, cells)), _NOWHERE, kinds)
         like = dialect._replace(kinds=kinds)
         line = next((line for line, text in zip(lines, texts, strict=True) if not like.is_row(text)), lines[0])
         number = next(number for number, one in number_lines(self.path) if one == line)
