@@ -102,7 +102,7 @@ def resting() -> None:
         (lambda: ji.identify(RECORD, LOOP, ji.DriveSideFit(), windows=2.0), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise={"foo": 0.2}), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise=0.2), ji.MethodError),  # type: ignore[arg-type]
-        (lambda: ji.identify("log.csv", LOOP), ji.MethodError),  # type: ignore[arg-type]
+        *((partial(ji.identify, wrong, LOOP), ji.MethodError) for wrong in ("log.csv", {"torque": [1.0]}, LOOP, None)),
         (lambda: ji.identify(ji.Record(), LOOP, windows=4.0), ji.RecordError),
         # robots
         (lambda: ji.identify(records_of(ARM, 1)[0], ARM), ji.MethodError),

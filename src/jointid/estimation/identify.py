@@ -69,14 +69,10 @@ def part_of(record: Record) -> Record:
 def _refuse_windows(record: object, model: object, method: Method | None, several: object) -> str:
     """Reason against windows, in a sentence; empty if there is none."""
     if isinstance(record, Sequence) or several or not isinstance(model, ClosedLoop) or not _simulates_loop(method):
+        return "Windows are of one record of a joint under its loop: give a ClosedLoop and DIDIM, or leave windows out."
+    if "drifting" in (name := model.joint.friction.name):
         return (
-            "Windows are of one record of a joint, and simulate its loop; other methods need none: give a "
-            "ClosedLoop and DIDIM, or leave windows out."
-        )
-    if "drifting" in model.joint.friction.name:
-        return (
-            f"Windows do not take {model.joint.friction.name} friction, which follows the time from the first sample; "
-            'declare friction = "symmetric", or cut the record by start and stop.'
+            f'Windows take no {name} friction, which follows the time: declare "symmetric", or cut by start and stop.'
         )
     return ""
 
@@ -100,8 +96,13 @@ def fit(
     """Fit a joint or a robot, without checks; see `jointid.identify`."""
     if fault := Setting("", above=0.0, type=float, optional=True).fault(windows):
         raise MethodError(f"windows, in seconds,{fault}")
-    filtering, known, listed = filtering or Filtering(), parameters or {}, isinstance(record, Sequence)
+    filtering, known, listed = filtering or Filtering(), parameters or {}, isinstance(record, list | tuple)
     streamed = not listed and not isinstance(record, Record)
+    if streamed and not hasattr(record, "chunks"):
+        said = f"A record is what `ji.read` or `file.record()` returns; received {type(record).__name__}"
+        raise MethodError(
+            f"{said}: read its file, or give ji.Record(torque=ji.Channel(values, unit, sample_time), ...)."
+        )
     if (streamed or windows is not None) and (said := _refuse_windows(record, model, method, several)):
         raise MethodError(said)
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
@@ -250,8 +251,7 @@ def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None
     Raises:
         RecordError: one cannot be in its units; each sentence names its joint.
     """
-    back = np.linalg.inv(robot.coupling)
-    faults = []
+    back, faults = np.linalg.inv(robot.coupling), list[str]()
     for log in logs:
         if len(log) != len(robot):
             raise RecordError(f"A log of a robot has a record of each joint, {len(robot)}; received {len(log)}.")

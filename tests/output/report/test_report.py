@@ -44,7 +44,7 @@ def test_every_section_is_there(made: object) -> None:
     text = reports.marked(made())
     found = re.findall(r"^## (.*)$", text, re.MULTILINE)
     assert [one for one in found if one in SECTIONS] == list(SECTIONS)
-    assert not re.search(r"\b(nan|None)\b", text) and re.search(r"(6 s at 1000 Hz, 2 rad|12 s at 1000 Hz, 0.2 m) at", text)
+    assert not re.search(r"\b(nan|None)\b", text) and re.search(r"(6 s at 1000 Hz, 2 rad|12 s at .*, 0.2 m) at", text)
 
 
 def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
