@@ -10,12 +10,7 @@ from jointid.models.controllers import Cascade, FirstOrder, Notch, SampledLaw
 from jointid.models.controllers.sampled import scale
 from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.linear import (
-    LinearJoints,
-    SampledDrive,
-    discretise,
-    linear_joints,
-)
+from jointid.models.linear import LinearJoints, SampledDrive, discretise, linear_joints
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.tuning.margins import NAMES, Margins, all_margins, joint_set, spectral_radius
 from studies.margins import random_drive

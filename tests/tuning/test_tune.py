@@ -173,13 +173,17 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
     wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.rows)
     controller = estimate.settings.loop.controller
-    fast = ClosedLoop(
-        estimate.settings.joint, replace(controller, velocity_gain=8.2 * controller.velocity_gain)
-    )  # 8.5 times as fast it would not be stable
+    # 8.5 times as fast it would not be stable.
+    fast = ClosedLoop(estimate.settings.joint, replace(controller, velocity_gain=8.2 * controller.velocity_gain))
     found = tune(replace(amended(estimate, settings={"loop": fast}), rows=wide), gain_margin=1e6, notch=False)
-    assert found.present.estimate.stable
-    assert not found.present.worst.stable and found.proposed is None
+    assert found.present.estimate.stable and not found.present.worst.stable and found.proposed is None
     assert json.loads(dumps(to_dict(found)))["present"]["worst"]["modulus"] == 0.0
+
+
+def test_the_interval_is_the_one_that_is_printed_with_its_lack_of_fit(estimate: Estimate) -> None:
+    each = [tuple(replace(p, lack_of_fit=by * (p.stderr or 0.0)) for p in estimate.rows) for by in (0.0, 3.0)]
+    alone, whole = (possible_joints(replace(estimate, rows=rows), 0.95).factor for rows in each)
+    np.testing.assert_allclose(whole, 10**0.5 * alone, rtol=1e-12)
 
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:

@@ -312,9 +312,9 @@ def profiles_figure(estimate: Estimate, found: Profiles) -> Figure:
     for axes, one in zip(drawn, shown, strict=True):
         risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
         axes.plot(one.points, risen, color=MEASURED, linewidth=1.2, marker="o")
-        std = next((p.stderr for p in estimate.rows if p.symbol == one.formula), None)
-        if one.name == "compliance" and (stderr := estimate["stiffness"].stderr):
-            std = stderr * one.estimate**2
+        std = next((p.deviation for p in estimate.rows if p.symbol == one.formula), None)
+        if one.name == "compliance" and (known := estimate["stiffness"].deviation):
+            std = known * one.estimate**2
         if std:
             ends = np.clip([one.points.min(), one.estimate, one.points.max()], *one.estimate + std * np.array([-3, 3]))
             axes.plot(ends, np.abs(ends - one.estimate) / std, color="#666666", linewidth=0.8, linestyle="--")

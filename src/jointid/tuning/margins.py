@@ -245,12 +245,12 @@ def possible_joints(estimate: Estimate, confidence: float) -> Interval:
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
     chosen = [p for p in estimate.rows if p.name in moving and p.free]
     at = [free.index(p.name) for p in chosen]
-    if any(p.stderr is None for p in chosen) or max(at, default=-1) >= len(estimate.correlation):
+    if any(p.deviation is None for p in chosen) or max(at, default=-1) >= len(estimate.correlation):
         raise MethodError(
             "Margins over an interval need the deviations of the parameters and their correlation, and this estimate "
             f"of {estimate.data.record} has none; identify by least squares."
         )
-    std = np.array([p.stderr for p in chosen], dtype=np.float64)
+    std = np.array([p.deviation for p in chosen], dtype=np.float64)
     radius = math.sqrt(2.0 * float(gammaincinv(len(chosen) / 2.0, confidence))) if chosen else 0.0
     size, axes = np.linalg.eigh(estimate.correlation[np.ix_(at, at)])
     factor = radius * std[:, np.newaxis] * axes * np.sqrt(np.maximum(size, 0.0))
