@@ -46,13 +46,13 @@ class Transmission:
     load: units.Kind = field(metadata=declare("how the load moves"))
     ratio: float | None = setting(
         None,
-        "how far the motor goes while the load goes 1, where both move alike: 100 of a gear 100:1; this or the lead",
+        "travel of the motor for 1 of the load, where both turn or both slide: 100 for a gear 100:1; this or the lead",
         above=0,
     )
     lead: float | None = setting(
         None,
-        "how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor is revolute "
-        "then",
+        "travel of the load for one turn of the motor, with a screw, a rack or a belt; the load is prismatic, the "
+        "motor revolute",
         unit="m",
         above=0,
     )

@@ -161,7 +161,7 @@ def parse_unit(text: str) -> Unit:
         UnitError: the text is invalid or has an unknown unit; the message is the rest of a sentence.
     """
     if "," in text:
-        raise UnitError('write the number with a point, as "0.8 A s/rad"')
+        raise UnitError("write the number with a decimal point")
     spaced = _POINT.sub(" ", text.translate(_RAISED).translate(_MULTIPLIED).replace("per mille", "permille")).strip()
     if 0 < len(spaced) <= _LONGEST and spaced.count("(") == spaced.count(")"):
         with contextlib.suppress(ValueError, OverflowError, ZeroDivisionError):

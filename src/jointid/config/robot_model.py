@@ -103,8 +103,8 @@ def read_robot(
     ties = sum(len(one) + 1 for tag in ("equality", "mimic") for one in root.iter(tag))
     if (count := ties + sum(1 for _ in kept.iter())) > _MOST_PARTS:
         raise JointFileError(
-            f"{called} has {count} elements of links and joints; expected a robot, of at most {_MOST_PARTS}: leave out "
-            "what is not part of it."
+            f"{called} has {count} elements of links and joints; expected a robot, of at most {_MOST_PARTS}: remove "
+            "what belongs to other things."
         )
     compiler = ET.SubElement(kept if root.tag == "mujoco" else ET.SubElement(kept, "mujoco"), "compiler")
     compiler.attrib.update(boundmass=repr(_LEAST_MASS), boundinertia=repr(_LEAST_MASS), fusestatic="false")

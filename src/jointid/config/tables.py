@@ -61,8 +61,8 @@ class Source:
     stop: float | None = setting(None, "last instant to read, of the log's own clock", unit="s")
     torque: Literal["logged", "from_controller"] | None = setting(
         None,
-        "whether the torque is a channel of the record, or what the controller outputs for the motor position; without "
-        "it logged, or for DIDIM from the controller where no torque channel is declared",
+        "whether the torque is a channel of the record, or is computed by the controller from the motor position; by "
+        "default logged, for DIDIM from the controller if no torque channel is declared",
     )
     part: int | None = setting(
         None, "which part between jumps of the clock to read, counted from 1; 0 takes the longest", at_least=0
@@ -72,7 +72,7 @@ class Source:
     options: Mapping[str, Any] = field(default_factory=dict)  # of the format's reader
     resample: Resampling | None = setting(
         None,
-        "to which uniform clock all channels are brought, and how; without it a clock that is not uniform is refused",
+        "uniform clock to which all channels are resampled, and the method; by default a jump of the clock is refused",
     )
 
     def __post_init__(self) -> None:

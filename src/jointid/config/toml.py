@@ -59,7 +59,7 @@ def parse_toml(text: str) -> dict[str, Any]:
             raise RecursionError
         return tomllib.loads(text)
     except RecursionError:
-        raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.") from None
+        raise JointFileError("The joint file nests lists or tables too deeply; no key needs that.") from None
     except ValueError as error:  # also a number of more digits than Python reads
         comma = " A number has a decimal point, as 20.0." if re.search(r"(?m)^\s*\w+\s*=\s*-?\d+,\d", text) else ""
         expected = f'expected [tables] and lines of key = value, text in "quotes": correct it.{comma}'

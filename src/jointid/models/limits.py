@@ -36,9 +36,9 @@ class AxisLimits:
         None, "root mean square of the torque over the test", unit="N, N m, A or V", above=0
     )
     windup: float | None = setting(None, "largest wind-up of the spring, in which it rings", unit="m or rad", above=0)
-    lowest: float = setting(0.1, "frequency that a multisine may have", unit="Hz", above=0)
+    lowest: float = setting(0.1, "lowest frequency of a multisine", unit="Hz", above=0)
     highest: float | None = setting(
-        None, "frequency, likewise; without it the cut-off of the identification's filter", unit="Hz", above=0
+        None, "highest frequency of a multisine; by default the identification's cut-off", unit="Hz", above=0
     )
 
     def __post_init__(self) -> None:

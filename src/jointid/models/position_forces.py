@@ -87,8 +87,8 @@ class Gravity:
     )
     counterbalance: Counterbalance = setting(
         Counterbalance(),
-        "the known force of a weight, a spring or a cylinder that carries a part of the load, seen by the motor; it "
-        "is taken off, and listed with the parameters",
+        "known force of a weight, a spring or a cylinder that carries a part of the load, as the motor sees it; it is "
+        "subtracted, and listed with the parameters",
     )
     angle: float = setting(
         1.0,

@@ -48,17 +48,17 @@ class Column:
         'unit of gain x column; without it the one in the column\'s name, as in "pos [mm]", if the gain is 1; or else '
         "the SI unit of the joint's kind, and for an injected signal that of the torque",
     )
-    gain: float = setting(1.0, "what takes the column to the unit", above=0)
-    sign: int = setting(1, "-1 turns the channel round", only=(1, -1))
+    gain: float = setting(1.0, "factor from the column to the unit", above=0)
+    sign: int = setting(1, "-1 reverses the channel", only=(1, -1))
     timing: Timing | None = setting(
         None,
-        "whether a value stands for its instant, for the time from it to the next, or for the mean since the last; "
-        "without it held for torque and injected, sampled for the others",
+        "whether a value is sampled at its instant, held until the next, or the mean since the last one; by default "
+        "held for torque and injected, sampled for the others",
     )
     sample_time: float | None = setting(
         None,
-        "the channel's own time between samples, where it differs from the record's; a column that is logged more "
-        "often, repeats its values or is empty between is picked where they change",
+        "the channel's own time between samples, if it differs from the record's; of a column with repeated values or "
+        "empty rows, those with a new value are read",
         unit="s",
         above=0,
     )
@@ -76,14 +76,14 @@ class Column:
     )
     side: Side | None = setting(
         None,
-        "of the transmission, on which the channel is; without it the load's for load_position, the motor's for the "
-        "others",
+        "side of the transmission on which the channel is measured; by default the load's for load_position, the "
+        "motor's for the others",
     )
     wrap: float | None = setting(
         None,
-        "of a position: where the column wraps round, in its own numbers, such as 65536 or 360. It is unwrapped. A "
-        "move of more than 0.4 of it in a sample is refused. Of a torque it is 2^n of a word read without its sign. "
-        "Without it, clear jumps tell it",
+        "range after which a position begins anew, in numbers of the column, such as 65536 or 360; the position is "
+        "unwrapped, and a move of more than 0.4 of the range in a sample is refused. For a torque, 2^n of a word that "
+        "was read without its sign. By default, clear jumps decide",
         above=0,
     )
     optional: bool = setting(False, "whether a record may lack the column")

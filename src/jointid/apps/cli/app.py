@@ -133,8 +133,9 @@ def _explain(error: BaseException) -> tuple[str, int]:
         options = [name for one in getattr(error, "argument_collection", ()) for name in one.names]
         hint = "A key of the joint file is given by --set. " if "--set" in options else ""
         words, chain = error.unused_tokens or [""], " ".join(("jointid", *(error.command_chain or ())))
-        if chain == "jointid" and words[0].endswith(".toml"):
-            return f"No command is given; for this joint file, jointid identify {words[0]}.", USERS_MISTAKE
+        if chain == "jointid" and "." in words[0]:
+            verb = "identify" if words[0].endswith(".toml") else "inspect"
+            return f"For this file: jointid {verb} {words[0]}.", USERS_MISTAKE
         return f"{error} {hint}See {chain} --help.", USERS_MISTAKE
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename} cannot be used ({error.strerror}); name another file.", USERS_MISTAKE
@@ -149,9 +150,8 @@ def _finish(code: int) -> int:
     """Flush the output, and return the exit code; ignore broken pipes."""
     put("", sys.stdout)
     failures = [error for error in console.unprinted if not isinstance(error, BrokenPipeError)]
-    if not failures:
-        return code
-    return _say(f"The answer could not be printed ({failures[0]}); print to another place.", code or USERS_MISTAKE)
+    said = f"The answer could not be printed ({failures[0]}); print to another place." if failures else ""
+    return _say(said, code or USERS_MISTAKE) if failures else code
 
 
 def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:

@@ -99,8 +99,8 @@ class DIDIM(Method):
     )
     frequency: float | None = setting(
         None,
-        "free-free frequency from which the stiffness starts, with the inertia halved; without it the best of a "
-        "grid, a simulation each",
+        "free-free frequency from which the search of the stiffness starts, with the inertia halved; by default the "
+        "best of a grid, with one simulation each",
         unit="Hz",
         above=0,
         systems=("flexible",),
@@ -108,8 +108,8 @@ class DIDIM(Method):
     free: tuple[str, ...] = setting((), SURROUNDINGS)
     outputs: tuple[str, ...] = setting(
         (),
-        'what the simulation reproduces: ["torque"], or ["motor_position"] seen through the controller; without it the '
-        "torque where it is logged, else the motor position",
+        'signal that is fitted: ["torque"], or ["motor_position"] seen through the controller; by default the torque '
+        "if it is logged, else the motor position",
         accept=_check_outputs,
     )
     offsets: bool = setting(True, OFFSETS, systems=ROBOT)

@@ -84,8 +84,8 @@ class Cascade(DiagramController):
     )
     position_offset: float = setting(
         0.0,
-        "from the first sample of the record's file, whatever is left out of it, to the position loop's "
-        "next evaluation; the controller's next instant counts",
+        "time from the first sample of the record's file, also if that is cut, to the position loop's next "
+        "evaluation; it is rounded up to a period of the controller",
         unit="s",
         at_least=0,
     )

@@ -240,27 +240,27 @@ class ServoController:
     )
     interpolation: Interpolation | None = setting(
         None,
-        "how a reference that is slower than the controller is filled in, cubic through two commands with the slopes "
-        "of their neighbours; without it a channel that is held or repeats its values is held, any other gets lines",
+        "how the drive interpolates a reference that is slower than the controller; cubic takes slopes from the "
+        "neighbouring commands. By default a channel that is held or repeats its values is held, any other linear",
     )
     reference_average: float = setting(
         0.0,
-        "time over which the drive averages the reference that is filled in, and so limits its jerk; each value is the "
-        "mean of the last ones",
+        "time over which the drive averages the interpolated reference, as a jerk limit does; each value is the mean "
+        "of the last ones",
         unit="s",
         at_least=0,
     )
     reference_delay: float = setting(
         0.0,
-        "by which the whole law sees the reference later; a drive that moves to a command within one command period "
-        "is that much late",
+        "delay of the reference before the whole law; a drive that moves to a command within one command period has "
+        "that period",
         unit="s",
         at_least=0,
     )
     ratio: float = setting(
         1.0,
-        "of a transmission between the joint and the law: the law sees so many times the joint's positions, and its "
-        "torque is so many times as large on the joint; negative where they count in opposite directions",
+        "ratio of a transmission between joint and law: it multiplies the positions on the way to the law, and the "
+        "law's torque on the way to the joint; negative if they count in opposite directions",
         nonzero=True,
     )
     output: str = field(default="", compare=False, repr=False)

@@ -438,7 +438,7 @@ def _check_link(link: Link, number: int) -> None:
         )
     turned = link.rotation @ link.rotation.T
     if np.abs(turned - np.eye(3)).max() > _UNIT or np.linalg.det(link.rotation) < 0:
-        raise MethodError(f"The rotation of link {link.name} is none; expected an orthogonal matrix of determinant 1.")
+        raise MethodError(f"The rotation of link {link.name} is no orthogonal matrix of determinant 1: correct it.")
 
 
 def _require_shape(what: str, values: FloatArray, shape: tuple[int, ...]) -> None:

@@ -223,7 +223,7 @@ class Drive:
 
     profile: str | None = setting(
         None,
-        "whose names, units, timing and tap the channels have that the file does not declare; what it declares wins",
+        "profile of the drive: names, units, timing and tap of channels; what the file declares has precedence",
         accept=load_profile,
         choices=profile_names(),
     )
@@ -232,22 +232,22 @@ class Drive:
     )
     joint: str | None = setting(None, "name of the axis, where a trace has several and the profile's names name them")
     rated_torque: float | None = setting(
-        None, "what per mille and per cent of a torque are a share of", unit="N or N m", above=0
+        None, "reference of a torque in per cent or per mille", unit="N or N m", above=0
     )
-    torque_constant: float | None = setting(None, "takes a torque in A to N m or N", unit="N/A or N m/A", above=0)
+    torque_constant: float | None = setting(None, "torque or force per ampere", unit="N/A or N m/A", above=0)
     torque_per_volt: float | None = setting(
-        None, "takes a torque in V, the output of an amplifier, to N m or N", unit="N/V or N m/V", above=0
+        None, "torque or force per volt, of an amplifier", unit="N/V or N m/V", above=0
     )
     counts_per_turn: float | None = setting(None, "of a revolute joint's encoder", unit="counts", above=0)
     counts_per_metre: float | None = setting(None, "of a prismatic joint's encoder", unit="counts", above=0)
     load_counts_per_turn: float | None = setting(
         None,
-        "of the load's encoder, load_position, where it is another one; behind a gear it is needed, because the "
-        "other is the motor's",
+        "of the load's encoder, load_position, if it differs; behind a gear it is needed, because "
+        "counts_per_turn is the motor's",
         unit="counts",
         above=0,
     )
-    load_counts_per_metre: float | None = setting(None, "the same of one that moves straight", unit="counts", above=0)
+    load_counts_per_metre: float | None = setting(None, "likewise, of a linear encoder", unit="counts", above=0)
 
     def __post_init__(self) -> None:
         check_settings(self, RecordError)

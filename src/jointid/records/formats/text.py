@@ -77,8 +77,8 @@ class TextOptions:
     decimal: Literal[".", ","] | None = setting(None, "decimal mark of a text file; without it found")
     header: bool | None = setting(
         None,
-        "whether a line above the numbers of a text file names the columns; without it found: it does with "
-        "one cell for each column, none of them a number",
+        "whether a line above the numbers of a text file names the columns; by default it does if it has one cell "
+        "for each column, none of them a number",
     )
 
     def __post_init__(self) -> None:
