@@ -6,11 +6,11 @@ For a joint these are tried, in order:
 2. A grid of flexible joints, a simulation each, on a band as wide as the log. Before any identification the loop is
    known: it crosses over where its torque per deviation equals the torque that the inertia needs to follow. A mode
    that affected the tuning of the loop lies not far from there, so the grid of free-free
-   frequencies is scaled by the crossover. Half of it is an unstable loop, and the rest has local minima.
+   frequencies is scaled by the crossover. Half of the grid gives unstable loops, and the rest has local minima.
 3. Rough descents from the best few, at frequencies apart, until two end together.
-4. The end with its Coulomb friction divided otherwise. The motor's share of it decides which side stops
-   first at every reversal, so the criterion has minima along it, and several starts find the same wrong one.
-5. A descent to the full tolerance. Where no second start led to the end, it is first repeated from a start nearby.
+4. The best solution with its Coulomb friction divided differently. The motor's share decides which side stops
+   first at every reversal, so the criterion has several minima over it, and several starts find the same wrong one.
+5. A descent to the full tolerance. Where no second start found this solution, it is first repeated from nearby.
    The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
 7. If 10 % of the torque or more are not explained, the same from joints of other inertias, shares and modes.
@@ -447,7 +447,7 @@ class SplitRobot:
         parameters, unit = problem.parameters, np.eye(len(problem.free))
         zero = _stiffen(np.zeros(len(unit)), parameters, rigid)
         felt = np.column_stack([_stiffen(one, parameters, rigid) - zero for one in unit])
-        # Beside the information the covariance has lost what is known of the sum of two that are not known.
+        # The information still holds what is known of a sum of two unknown parameters; the covariance has lost it.
         known = triangle(rigid.slopes * rigid.problem.weights(len(rigid.slopes))[:, np.newaxis])
         own = [c for c, p in enumerate(parameters.places) if p.own == "inertia"]
         joints = np.array([parameters.places[c].axis for c in own], dtype=np.int64)

@@ -49,12 +49,12 @@ class Clock:
     """The clock of controllers, and of the log.
 
     Attributes:
-        steps: that are simulated.
-        lengths: (parts,) s, of a step: in none does a torque change, and none has an instant of the log within it.
+        steps: number of simulated steps.
+        lengths: (parts,) of a step [s]. Within a part no torque changes, and the log has no instant.
         lags: (axes, parts) how many steps ago the output that acts there was put out, or a later one that is held.
         every: (axes,) steps of each controller's period.
         sample_time: of the log, s, which is every `skips`-th step, or shows each step `shows` times.
-        log_index: (samples,) which of all parts, step after step, begin at the log's instants.
+        log_index: (samples,) number of the part that begins at each instant of the log, counted over all steps.
         torque_index: (axes, samples) those at which the newest torque of each axis, as the log shows it, begins to act.
     """
 
