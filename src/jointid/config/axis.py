@@ -19,7 +19,7 @@ from jointid.common.units import Kind, UnitError
 from jointid.config.declaration import Place, fault_at, locate, output_of, to_si
 from jointid.config.tables import Source, Values, make_method
 from jointid.estimation.methods import METHODS, Method, method_of
-from jointid.models.controllers import Controller, declared_unit, numbers_of
+from jointid.models.controllers import Cascade, Controller, declared_unit, numbers_of
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.limits import AxisLimits
@@ -175,6 +175,9 @@ class Axis:
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
         check_record(record, limit=limit, side=None if gear is None else gear.side)
+        if isinstance(controller, Cascade) and 0.0 < controller.integral_gain * record.duration < 1.0:
+            said = f"integral_time is {1 / controller.integral_gain:.3g} s, longer than the record: is it in ms?"
+            record = replace(record, remarks=(*record.remarks, said))
         return record
 
     def _driving_columns(self, there: Collection[str]) -> dict[str, Column]:

@@ -68,19 +68,15 @@ class Table:
 
 
 def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> dict[str, Setting]:
-    """Return the settings of classes as keys, of one system; merge duplicates."""
+    """Return the settings of classes as keys, of one system; duplicates keep a common default."""
     found: dict[str, list[Setting]] = {}
     for one in (one for owner in owners for one in settings_of(owner)):
         foreign = system and one.systems and system not in one.systems
         if one.name not in without and not foreign:
             found.setdefault(one.name, []).append(one)
-    return {name: _merge(same) for name, same in found.items()}
-
-
-def _merge(same: list[Setting]) -> Setting:
-    """Merge declarations of one setting; keep a default common to all."""
-    merged = replace(same[0], help="; ".join(dict.fromkeys(one.help for one in same)))
-    return merged if len({str(one.default) for one in same}) == 1 else replace(merged, default=None, optional=True)
+    merged = {n: replace(same[0], help="; ".join(dict.fromkeys(one.help for one in same))) for n, same in found.items()}
+    alike = {name for name, same in found.items() if len({str(one.default) for one in same}) == 1}
+    return {n: one if n in alike else replace(one, default=None, optional=True) for n, one in merged.items()}
 
 
 def key(name: str, kind: Any, help_text: str, default: Any = None, **declared: Any) -> dict[str, Setting]:

@@ -60,7 +60,7 @@ _RUN = ("=", "+", "-", "@")  # first characters of formulas in spreadsheet progr
 
 
 def _check_delimiter(mark: object) -> None:
-    if not (isinstance(mark, str) and _DELIMITER.fullmatch(mark)):
+    if not _DELIMITER.fullmatch(str(mark)):
         raise RecordError(f'The delimiter is one character, such as ";"; got {mark!r}.')
 
 
