@@ -51,28 +51,18 @@ def axis(name: AxisName) -> Axis:
         return _OTHERS[name]()
     if name == "direct":
         direct = PD(
-            position_gain=900.0,
-            derivative_gain=18.0,
-            gain=1.3,
-            limit=60.0,
-            velocity_filter=FirstOrder(1e-3),
+            position_gain=900.0, derivative_gain=18.0, gain=1.3, limit=60.0, velocity_filter=FirstOrder(1e-3),
             delay=0.5e-3,
-        )
+        )  # fmt: skip
         values = {"inertia": 0.12, "viscous": 0.25, "coulomb": 0.9, "offset": 0.1}
         reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 30.0, 1.5, RATE, duration=9.0)
         return Axis(RigidJoint("revolute"), direct, values, reference, 0.05, 0.3, 0.05, 0.02)
     if name == "rigid":
         gear = ji.Transmission(load="revolute", ratio=50.0)
         law = Cascade(
-            position_gain=25.0,
-            velocity_gain=2.1,
-            integral_gain=60.0,
-            gain=0.4,
-            limit=120.0,
-            velocity_filter=FirstOrder(0.8e-3),
-            delay=0.5e-3,
-            ratio=50.0,
-        )
+            position_gain=25.0, velocity_gain=2.1, integral_gain=60.0, gain=0.4, limit=120.0,
+            velocity_filter=FirstOrder(0.8e-3), delay=0.5e-3, ratio=50.0,
+        )  # fmt: skip
         values = {"inertia": 8.0, "viscous": 25.0, "coulomb": 40.0, "offset": 6.0}
         reference = ji.excitation.trapezoids((0.3, 0.7, 1.2), 6.0, 1.0, RATE, duration=10.0)
         return Axis(RigidJoint("revolute", transmission=gear), law, values, reference, 1.5, 0.05, 2.0, 1.0)
@@ -89,15 +79,9 @@ def axis(name: AxisName) -> Axis:
 def _screw() -> Axis:
     """A stiff screw under P-PI at 1 kHz."""
     law = Cascade(
-        position_gain=40.0,
-        velocity_gain=0.09,
-        integral_gain=60.0,
-        gain=0.55,
-        limit=1e4,
-        velocity_filter=FirstOrder(0.5e-3),
-        delay=0.5e-3,
-        ratio=500.0,
-    )
+        position_gain=40.0, velocity_gain=0.09, integral_gain=60.0, gain=0.55, limit=1e4,
+        velocity_filter=FirstOrder(0.5e-3), delay=0.5e-3, ratio=500.0,
+    )  # fmt: skip
     joint = RigidJoint("prismatic", transmission=ji.Transmission(load="prismatic", ratio=500.0))
     values = {"inertia": 80.0, "viscous": 400.0, "coulomb": 260.0, "offset": 0.0}
     reference = ji.excitation.trapezoids((0.05, 0.2, 0.3), 3.0, 0.15, RATE, duration=8.0)
@@ -107,14 +91,9 @@ def _screw() -> Axis:
 def _fast() -> Axis:
     """A soft P-P cascade at 4 kHz behind an 80:1 gear."""
     law = Cascade(
-        position_gain=12.0,
-        velocity_gain=0.033,
-        gain=1.7,
-        limit=1e3,
-        velocity_filter=FirstOrder(1e-3),
-        delay=0.25e-3,
+        position_gain=12.0, velocity_gain=0.033, gain=1.7, limit=1e3, velocity_filter=FirstOrder(1e-3), delay=0.25e-3,
         ratio=80.0,
-    )
+    )  # fmt: skip
     joint = RigidJoint("revolute", transmission=ji.Transmission(load="revolute", ratio=80.0))
     values = {"inertia": 3.0, "viscous": 12.0, "coulomb": 25.0, "offset": -4.0}
     reference = ji.excitation.trapezoids((0.4, 0.9, 1.6), 9.0, 1.0, 2.5e-4, duration=8.0)
@@ -124,15 +103,9 @@ def _fast() -> Axis:
 def _lift() -> Axis:
     """A PID at 1 kHz behind a 200:1 gear, with much friction."""
     law = PID(
-        position_gain=0.25,
-        derivative_gain=0.00625,
-        integral_gain=6.0,
-        gain=60.0,
-        limit=1e5,
-        velocity_filter=FirstOrder(1.5e-3),
-        delay=1e-3,
-        ratio=200.0,
-    )
+        position_gain=0.25, derivative_gain=0.00625, integral_gain=6.0, gain=60.0, limit=1e5,
+        velocity_filter=FirstOrder(1.5e-3), delay=1e-3, ratio=200.0,
+    )  # fmt: skip
     joint = RigidJoint("prismatic", transmission=ji.Transmission(load="prismatic", ratio=200.0))
     values = {"inertia": 60.0, "viscous": 300.0, "coulomb": 160.0, "offset": 20.0}
     reference = ji.excitation.trapezoids((0.1, 0.25, 0.4), 2.5, 0.2, RATE, duration=8.0)

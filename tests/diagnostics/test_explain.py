@@ -22,17 +22,7 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.healthy import drive
 from tests.estimates import identify
-from tests.mistakes import (
-    MISTAKES,
-    MORE,
-    AxisName,
-    Mistake,
-    axis,
-    cut,
-    tell,
-    without_mistake,
-    without_positions,
-)
+from tests.mistakes import MISTAKES, MORE, AxisName, Mistake, axis, cut, tell, without_mistake, without_positions
 
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
 
@@ -174,6 +164,15 @@ def late_drive(record_period: float = 4e-3, law: Any = DRIVE) -> ji.Record:
     torque = record.torque
     noise = 0.02 * np.std(torque.values) * np.random.default_rng(0).standard_normal(torque.values.size)
     return replace(record, torque=replace(torque, values=torque.values + noise))
+
+
+def test_a_gain_in_1_per_min_is_told_by_its_unit() -> None:
+    record, loop = without_mistake(axis("rigid"))
+    gain = loop.controller.position_gain  # type: ignore[attr-defined]
+    wrong = replace(loop, controller=with_numbers(loop.controller, {"position_gain": 60 * gain}))
+    first = find_causes(without_positions(record), wrong).explanations[0]
+    assert (first.name, first.value) == ("position_gain", pytest.approx(gain, rel=0.05))
+    assert "1/min" in first.words and "degrees" not in first.words
 
 
 @pytest.mark.slow

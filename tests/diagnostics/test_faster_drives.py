@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.changes import PERIOD, list_variants
+from jointid.diagnostics.search import _list_late
 from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade, FirstOrder
@@ -133,6 +135,13 @@ def test_a_mean_and_a_lag_of_the_current_loop_are_named_with_their_time(name: st
     right = ji.identify(record, replace(loop, controller=law))
     assert right.answer.reliable
     assert abs(right["inertia"].value - RIGID["inertia"]) < 3 * right["inertia"].stderr
+
+
+@pytest.mark.parametrize(("lag", "shown"), [(2e-3, True), (8e-3, False)])
+def test_a_lag_of_more_than_4_ms_is_no_current_loop(lag: float, shown: bool) -> None:
+    record, loop, _ = _late(torque_filters=(FirstOrder(lag),))
+    laws = _list_late(*rebuild_problem(identify(record, loop), record))
+    assert any("torque_filters" in law.remedy for law, _ in laws) is shown
 
 
 def test_a_reference_that_is_filled_in_as_declared_and_a_coarse_one_that_is_held_are_not_blamed() -> None:

@@ -53,16 +53,17 @@ def test_noise_that_comes_back_is_no_part() -> None:
     assert (found.values["begin"], found.values["end"]) == pytest.approx((2.0, 2.8), abs=0.01)
 
 
-def identified(travel: float, eccentric: float = 0.0) -> ji.Estimate:
-    """Return the estimate of two masses whose position loop reads the load, or whose one encoder is off its centre."""
+def identified(travel: float, eccentric: float = 0.0, on_load: bool = False, gap: float = 0.0) -> ji.Estimate:
+    """Return the estimate of two masses with one encoder, or with its position loop on the load, or with play."""
     reference = ji.excitation.trapezoids((travel / 2, travel, 2 * travel), 20 * travel, travel, STEP, duration=6.0)
     h, torques, (q1, q2, w1, w2, before) = STEP / 10, list[float](), (0.0,) * 5
     for asked in reference.tolist():
         read = q1 + eccentric * float(np.sin(q1 + 0.4) - np.sin(0.4))
-        torques.append(0.5 * (20.0 * (asked - (read if eccentric else q2)) - (read - before) / STEP))
+        torques.append(0.5 * (20.0 * (asked - (q2 if on_load else read)) - (read - before) / STEP))
         before = read
         for _ in range(10):
-            spring = 30.0 * (q1 - q2) + 0.01 * (w1 - w2)
+            wound = q1 - q2 - np.clip(q1 - q2, -gap, gap)
+            spring = 30.0 * wound + 0.01 * (w1 - w2) * (wound != 0.0)
             friction1, friction2 = (0.03 * np.tanh(w / 1e-3) + 0.01 * w for w in (w1, w2))
             w1, w2 = w1 + h * (torques[-1] - spring - friction1) / 0.006, w2 + h * (spring - friction2) / 0.006
             q1, q2 = q1 + h * w1, q2 + h * w2
@@ -73,13 +74,42 @@ def identified(travel: float, eccentric: float = 0.0) -> ji.Estimate:
 
 
 def test_no_torque_reacts_before_its_law() -> None:
-    (loop,) = (one for one in identified(2.0).checks if one.name is Subject.LOOP)
+    (loop,) = (one for one in identified(2.0, on_load=True).checks if one.name is Subject.LOOP)
     assert (loop.passed, loop.code) == (False, Reason.NO_CAUSE_FOUND)
 
 
-def test_an_encoder_off_its_centre_is_no_load_that_hangs() -> None:
-    (found,) = identified(8.0, 0.03).diagnosis.axes[0].faults.findings
+@pytest.mark.parametrize("travel", [2.0, 8.0])  # rad, of one turn in part and of more
+def test_an_encoder_off_its_centre_is_no_load_that_hangs(travel: float) -> None:
+    estimate = identified(travel, 0.03)
+    found, *_ = estimate.diagnosis.axes[0].faults.findings
     assert (found.test.name, found.test.size) == ("eccentric_encoder", pytest.approx(0.03, rel=0.05))
+    assert estimate["stiffness"].interval[0] < 30.0 < estimate["stiffness"].interval[1]
+
+
+def test_a_torque_without_gravity_is_no_friction_under_load() -> None:
+    hangs = replace(LOOP, joint=ji.RigidJoint("revolute", gravity=ji.Gravity("link")))
+    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 40.0, 2.0, STEP, duration=8.0)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(reference.size)
+    record = ji.simulated_record(
+        hangs, reference, TRUTH | {"gravity_cos": 0.0, "gravity_sin": 1.0}, sample_time=STEP, torque_noise=noise
+    )
+    torque = replace(record.torque, values=record.torque.values - np.sin(record.motor_position.values))
+    estimate = ji.identify(replace(record, torque=torque).without("motor_position"), LOOP)
+    (found,) = estimate.diagnosis.axes[0].faults.findings
+    assert (found.test.name, found.test.size) == ("torque_without_gravity", pytest.approx(1.0, rel=0.1))
+    assert estimate["inertia"].interval[0] < 0.02 < estimate["inertia"].interval[1]
+
+
+@pytest.mark.parametrize(("gap", "code"), [(3e-3, "backlash"), pytest.param(0.03, "", marks=pytest.mark.slow)])
+def test_play_at_the_horn_is_backlash_or_something_else(gap: float, code: str) -> None:
+    (loop, *_) = (one for one in identified(2.0, gap=gap).checks if one.name is Subject.LOOP)
+    assert loop.passed is False and loop.values.get("suspect", "") == code
+    assert code or loop.code == Reason.NO_CAUSE_FOUND
+
+
+def test_of_a_right_record_by_other_equations_no_fault_is_named() -> None:
+    estimate = identified(2.0)
+    assert estimate.answer.reliable and not estimate.diagnosis.axes[0].faults.findings
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -227,11 +229,16 @@ def test_what_the_user_holds_is_not_tried_otherwise() -> None:
 
 def test_what_is_not_excluded_widens_the_intervals() -> None:
     test = FaultTest(FAULTS["cubic_spring"], (), 0.0, 0.3, 0.1, 0.2, 0.3)
-    suspected = Finding(test, None, (), {"stiffness": ParameterShift(-20.0, -2.5), "damping": ParameterShift(0.1, 0.2)})
-    check = AxisFaults((), (test,), {}, suspected=(suspected,))
-    *_, wider = widen_for_faults(check, {})
-    assert wider[0] == {"stiffness": 20.0, "damping": 0.1}
-    assert not any(by for by, _ in widen_for_faults(replace(check, suspected=()), {}))
+    found = Finding(test, None, (), {"stiffness": ParameterShift(-20.0, -2.5), "damping": ParameterShift(0.1, 0.2)})
     law = OtherLaw(FAULTS["delay"], "it is late", "a time")
-    late = replace(suspected, test=replace(test, fault=law.fault), law=law, alike=(law,))
-    assert next(widen_for_faults(AxisFaults((late,), (test,), {}), {})) == ({"stiffness": 20.0, "damping": 0.1}, "")
+    number = replace(found, test=replace(test, fault=law.fault))
+    rows: Any = dict.fromkeys(found.changes, SimpleNamespace(value=1.0))
+
+    def widened(named: Finding | None, suspected: Finding | None = None, repeats: bool = False) -> dict[str, float]:
+        faults = AxisFaults(*((one,) if one else () for one in (named, None)), {}, (suspected,) if suspected else ())
+        axis: Any = SimpleNamespace(faults=faults, repeats=repeats)
+        return dict(next(widen_for_faults(axis, rows), ({}, ""))[0])
+
+    wide = {"stiffness": 20.0, "damping": 0.1}
+    assert widened(None, found) == widened(replace(number, law=law)) == widened(number, repeats=True) == wide
+    assert widened(number) == widened(None) == {}

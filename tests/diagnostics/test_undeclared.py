@@ -92,12 +92,7 @@ def test_an_injected_signal_of_another_size_is_named():
 
 
 @pytest.mark.parametrize(
-    "declared",
-    [
-        {"velocity_filter": (0.5, 0.5)},
-        {"torque_filters": (FirstOrder(1e-3),)},
-        {"delay": 1e-4},
-    ],
+    "declared", [{"velocity_filter": (0.5, 0.5)}, {"torque_filters": (FirstOrder(1e-3),)}, {"delay": 1e-4}]
 )
 def test_what_is_declared_is_not_tried(declared):
     names = {fault.name for fault, *_ in list_undeclared(replace(LAW, **declared), 1e-3)}

@@ -35,6 +35,7 @@ from jointid.records.signals.filtering import Filtering
 _DEGREES = 180 / math.pi
 _GAINS = (1e-3, 1 / _DEGREES, 0.1, 0.3, 0.6, 1.6, 3.0, 10.0, _DEGREES, 1e3)  # times a declared gain, units among them
 _INTEGRALS = (1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1e3)  # times a declared gain: its time may be in ms, read in s
+_MINUTE = 60.0  # s: a gain is given in 1/s, or in 1/min
 _NEW_INTEGRALS = (1.0, 10.0, 100.0)  # 1/s, of what they act beside, where none is declared
 _LATE = (1.0, 3.0, 8.0)  # periods of a delay or a filter
 _TIMES = (0.1, 0.125, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0)  # times the sample time: rates that drives log at
@@ -312,7 +313,10 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iter
 
     if value is None and "{shown}" in clause:
         clause = f"the declared {name_number(name)} is not there"
-    numbers = {"shown": show(value or 0.0), "declared": show(case.numbers.get(name, 0.0))} if "{" in clause else {}
+    declared = case.numbers.get(name, 0.0)
+    if name == "position_gain" and value and declared / value > 1.0 and _is(declared / value, _MINUTE):
+        clause += ": it is given in 1/min, as its values tell"
+    numbers = {"shown": show(value or 0.0), "declared": show(declared)} if "{" in clause else {}
     yield Cause(name, clause.format(name=f"the {name_number(name)}", **numbers), value)
 
 
@@ -356,8 +360,7 @@ CHANGES = (
 
 _TIMES_FASTER = (2, 4, 8)  # than the log: at these rates a drive may run whose period is not declared
 _SLOWER = 1.5  # times the controller's period: a reference of such a sample time is filled in
-SCREENED = 4
-"""Samples of the log: of a mean that shows whether the reference is late."""
+SCREENED = 4  # samples of the log: of a mean that shows whether the reference is late
 _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
 
 _DONE: dict[Interpolation, str] = {"hold": "held", "linear": "interpolated by lines", "cubic": "interpolated by cubics"}
@@ -375,8 +378,7 @@ AVERAGED = Fault(
     "averaged_reference", "reference averaged by the drive",
     remedy="declare it as reference_average, or half of it as reference_delay",
 )  # fmt: skip
-WHOLE = tuple(one.name for one in INTERPOLATIONS.values())
-"""Names of those that a drive has or has not, so that their size is 1."""
+WHOLE = tuple(one.name for one in INTERPOLATIONS.values())  # that a drive has or has not, so that their size is 1
 OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, TORQUE_FILTER, *INTERPOLATIONS.values())
 """Those that differ in what they make of the reference, and a torque that is as late."""
 OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *OF_REFERENCE))

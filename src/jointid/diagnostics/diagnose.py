@@ -36,8 +36,7 @@ from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 
 _NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
 _UNREADABLE, _POOR_MOTION = "unreadable", "motion_poor"
-_ENOUGH = (_UNREADABLE, _POOR_MOTION, Agreement.SCALED, Agreement.LATE)
-"""Faults after which no joint is identified: none would be right."""
+_ENOUGH = (_UNREADABLE, _POOR_MOTION, Agreement.SCALED, Agreement.LATE)  # after these no joint would be right
 
 
 @one_thread()

@@ -39,10 +39,8 @@ from jointid.simulation.controller_torque import SOURCE
 from jointid.uncertainty.model_tests import Whiteness
 from jointid.uncertainty.position_dependent_error import cells, repeatable
 
-JOINT_DIFFERS = "joint_differs"
-"""The symptom of a joint whose torque the model does not explain."""
-_VAGUE = (Agreement.DIFFERS, JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
-"""Symptoms of unknown cause."""
+JOINT_DIFFERS = "joint_differs"  # the symptom of a joint whose torque the model does not explain
+_VAGUE = (Agreement.DIFFERS, JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))  # symptoms of unknown cause
 
 
 @dataclass(frozen=True, slots=True)

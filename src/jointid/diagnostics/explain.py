@@ -18,7 +18,6 @@ import contextlib
 import heapq
 import itertools
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -41,7 +40,6 @@ from jointid.diagnostics.model_free import (
 from jointid.diagnostics.score import LEVEL, SolvedLoop
 from jointid.diagnostics.suspects import FaultTest, Finding
 from jointid.estimation.identify import identify_record, part_of
-from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.parameters import DELAYS, OF_LOG
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
@@ -58,7 +56,8 @@ from jointid.simulation.plant import DELAY
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
-_SECONDS = 20.0  # of the processor, for the search
+_SAMPLES, _AS_LONG = 20_000_000, 5_000  # simulated in some 20 s of the processor, and beside those of one evaluation
+_ENOUGH = 1000  # evaluations of a case alone
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
 _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong sample time spoils all of a fit
@@ -95,6 +94,7 @@ class Causes:
         nearest: the cause that explains most, if something else is wrong; else None.
         unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
         plain: a cause visible in the samples, or a motor at rest; else None.
+        partly: whether the record is so long that not every cause was followed.
     """
 
     declared_error: float
@@ -102,6 +102,7 @@ class Causes:
     nearest: Cause | None = None
     unexplained: float = 0.0
     plain: Message | None = None
+    partly: bool = False
 
     @property
     def found(self) -> bool:
@@ -131,6 +132,8 @@ class Causes:
         if self.unexplained > _NO_RESPONSE:
             clause += f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check "
             clause += "which column is the torque, and declare a signal that is injected (channel injected)"
+        if self.partly:
+            clause += "; the record is too long to try each of them to its end: diagnose a part of it (record.stop)"
         return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
 
 
@@ -154,7 +157,7 @@ def explain_misfit(
     if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
         # Far below its resonance a flexible joint is rigid; a misfit there has another cause than its spring.
         declared = Case(record, loop, estimate.settings.filtering)
-        poor = any(one.error > _SUSPICIOUS for one in fit_rigid([declared])[:1])
+        poor = any(one.error > _SUSPICIOUS for one in fit_rigid([declared], _ENOUGH)[:1])
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
@@ -244,7 +247,7 @@ def find_causes(
     left = math.inf if estimate is None else estimate.fit.filtered_error
     if (plain := find_plain_cause(record)) is not None:
         return Causes(left, plain=plain)
-    filtering, until = Filtering(), time.process_time() + _SECONDS
+    filtering = Filtering()
     if estimate is not None:
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *OF_LOG}
         free = [row.name for row in estimate.rows if row.name in names and not row.of_joint]
@@ -253,8 +256,13 @@ def find_causes(
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
-    fits = fit_cases(tried, until)
-    left = min((left, *(fit.error for fit in fits if fit.case.change is None)))
+    most = _SAMPLES // (_AS_LONG + len(declared.torque))
+    fits = fit_rigid(tried, most)
+    if loop.joint.model == "flexible":
+        near = (one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY))
+        fits = _race([_list_flexible_starts(one) for one in near], most)
+    as_declared = [fit for fit in fits if fit.case.change is None]
+    left = min((left, *(fit.error for fit in as_declared)))
     problem, case = (fits[0].problem, fits[0].case) if fits else (_pose(declared, loop), declared)
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
     memory = MEMORY if case.free else MEMORY * max(case.factor or 1.0, 1.0)
@@ -268,8 +276,8 @@ def find_causes(
     if isinstance(loop.joint, RigidJoint):
         candidates += _judge_motion(declared, loop.joint)
         least = min((one.left for one in candidates), default=math.inf)
-        if least > _TWICE * responses and time.process_time() < until:
-            candidates += (one for one in _judge_mode(declared, loop.joint) if one.left * _TWICE <= least)
+        for fit in as_declared if least > _TWICE * responses else ():
+            candidates += (one for one in _judge_mode(fit, loop.joint, most) if one.left * _TWICE <= least)
     explaining = _explaining(sorted(candidates, key=lambda one: one.left), left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
@@ -278,7 +286,8 @@ def find_causes(
     solved = next((one for one in fits if best and not more and one.error == best.left and one.case.change), None)
     if solved is not None:
         more = any(one.p_value <= LEVEL and not one.possible for one in SolvedLoop(solved.problem, solved.x).tests)
-    return Causes(left, () if more else explaining, best if more else None, responses)
+    partly = most < 4 * _FEW * len(tried)
+    return Causes(left, () if more else explaining, best if more else None, responses, partly=partly)
 
 
 def list_cases(declared: Case) -> list[Case]:
@@ -328,15 +337,13 @@ def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
         yield Cause("reference_is_position", words, left=left)
 
 
-def _judge_mode(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
+def _judge_mode(rigid: Fit, joint: RigidJoint, most: int) -> Iterator[Cause]:
     """Yield a mode in the record of a rigid joint, if any."""
-    flexible = replace(declared.loop, joint=joint.flexible)
-    with contextlib.suppress(*FAILS):  # the other causes stand
-        found = identify_record(declared.record, flexible, DIDIM(free=declared.beside), declared.filtering)
-        if found["stiffness"].value is not None:
-            mode = found.frequencies["free_free"]
-            words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
-            yield Cause("flexible", words, mode, found.fit.filtered_error)
+    case = replace(rigid.case, loop=replace(rigid.case.loop, joint=joint.flexible))
+    for fit in _race([_list_flexible_starts(replace(rigid, case=case))], most):
+        mode = joint.flexible.frequencies(fit.problem.values(fit.x))["free_free"]
+        words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
+        yield Cause("flexible", words, mode, fit.error)
 
 
 # The joint in each case
@@ -369,46 +376,34 @@ class Fit:
         return replace(self, x=solution.x, error=error) if error < _ASTRAY else None
 
 
-def fit_cases(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
-    """Fit the joint in each case, the best first.
-
-    Fits not begun by `until`, in s of `time.process_time`, are omitted, and descents end there.
-    """
-    fits = fit_rigid(tried, until)
-    if tried[0].loop.joint.model == "rigid":
-        return fits
-    least = min((fit.error for fit in fits), default=math.inf)
-    near = [fit for fit in fits if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
-    return _race([_list_flexible_starts(fit) for fit in near], until)
-
-
-def fit_rigid(tried: Sequence[Case], until: float = math.inf) -> list[Fit]:
-    """Fit each case with a rigid joint below resonance; see `fit_cases`."""
+def fit_rigid(tried: Sequence[Case], most: int) -> list[Fit]:
+    """Fit each case with a rigid joint, a flexible one far below its resonance; see `_race`."""
     loss = _ROUGHLY if tried[0].loop.joint.model == "flexible" else 0.0
-    return _race([_list_rigid_starts(one) for one in tried], until, loss)
+    return _race([_list_rigid_starts(one) for one in tried], most, loss)
 
 
-def _race(starts: Sequence[Iterator[Fit]], until: float, loss: float = 0.0) -> list[Fit]:
-    """Solutions of the cases, best first; poor ones are dropped early.
+def _race(starts: Sequence[Iterator[Fit]], most: int, loss: float = 0.0) -> list[Fit]:
+    """Solutions of the cases in some `most` evaluations, best first; poor ones are dropped early.
 
-    Cases within the share `loss` of the best are kept.
+    The starts with the least residual are followed, and those as declared. Cases within the share `loss` of the best
+    are kept.
     """
 
     def choose(own: Iterator[Fit]) -> list[Fit]:
-        in_time = itertools.takewhile(lambda _: time.process_time() < until, own)
-        return heapq.nsmallest(_STARTS, (fit for fit in in_time if fit.error < _ASTRAY), key=lambda fit: fit.error)
+        some = itertools.islice(own, max(most // len(starts), 1))
+        return heapq.nsmallest(_STARTS, (fit for fit in some if fit.error < _ASTRAY), key=lambda fit: fit.error)
 
-    def go_on(fit: Fit, evaluations: int) -> Fit | None:
-        return fit.descend(evaluations) if time.process_time() < until else fit
-
-    first = [list(filter(None, in_threads(lambda fit: go_on(fit, _FEW), one))) for one in in_threads(choose, starts)]
-    least = min((fit.error for fits in first for fit in fits), default=math.inf)
-    bound, ends = max(_BEHIND * least, least + loss), []
-    for fits in filter(None, first):
-        # To their minima, where their numbers can be stated.
-        going = (fit if fit.error > bound else go_on(fit, _TO_ITS_END) or fit for fit in fits)
-        ends.append(min(going, key=lambda fit: fit.error))
-    return sorted(ends, key=lambda fit: fit.error)
+    begun = list(itertools.chain(*in_threads(choose, starts)))
+    begun.sort(key=lambda fit: (fit.case.change is not None, fit.error))
+    followed = in_threads(lambda fit: fit.descend(_FEW), begun[: most // (2 * _FEW)])
+    fits, best = sorted(filter(None, followed), key=lambda fit: fit.error), dict[int, Fit]()
+    bound = max(_BEHIND * fits[0].error, fits[0].error + loss) if fits else 0.0
+    for k, fit in enumerate(fits[: max(most // (2 * _TO_ITS_END), _STARTS)]):
+        if fit.error <= bound:  # to its minimum, where its number can be stated
+            fits[k] = fit.descend(_TO_ITS_END) or fit
+    for fit in sorted(fits, key=lambda fit: fit.error):
+        best.setdefault(id(fit.case), fit)
+    return [*best.values()]
 
 
 def _list_rigid_starts(case: Case) -> Iterator[Fit]:

@@ -23,12 +23,12 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import join, number
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
-from jointid.diagnostics.diagnosis import Diagnosis, diagnose_joint, diagnose_robot
+from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import FAILS, explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search import find_part_of_loop
-from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, AxisFaults, Fault, FaultSignature
+from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, Fault, FaultSignature
 from jointid.estimation.force_in_loop import MATTERS, TOLD
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
@@ -222,7 +222,7 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
 def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
     """Shifts of parameters by possible faults and undeclared elements."""
     rows = {row.name: row for row in fit.rows}
-    wider = [] if fit.robot is not None else list(widen_for_faults(found.axes[0].faults, rows))
+    wider = [] if fit.robot is not None else list(widen_for_faults(found.axes[0], rows))
     with contextlib.suppress(*FAILS):
         wider += widen_for_undeclared(fit, found)
     return wider
@@ -349,23 +349,22 @@ def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) ->
     return min(max(test.size + INTERVAL * test.std, 0.0), 2.0 * element.half)
 
 
-def widen_for_faults(check: AxisFaults, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
-    """Yield parameter shifts by faults that a check found or suspects.
+def widen_for_faults(axis: AxisDiagnosis, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
+    """Yield parameter shifts by faults that a diagnosis found or suspects.
 
-    Faults of loop and log that move a parameter by more than a thousandth widen no interval: either they are
-    corrected, or the joint itself has the same effect. Laws that the record does not tell apart widen it.
+    A number of loop or log that moves a parameter by more than a thousandth widens no interval: it is corrected, or the
+    joint has the same effect. Another law widens it, and so does a number beside a residual that repeats.
     """
-    for finding in check.findings:
+    for finding in axis.faults.findings:
         moved = {name: abs(change.by) for name, change in finding.changes.items()}
-        open_law = finding.law is not None and (finding.alike or finding.rivals)
-        if not (finding.test.fault.mechanical or open_law):
+        if not (finding.test.fault.mechanical or finding.law is not None or axis.repeats):
             moved = {
                 name: 0.5 * by
                 for name, by in moved.items()
                 if abs(finding.changes[name].sigmas) > INTERVAL and by < SLIGHT * abs(rows[name].value or 0.0)
             }
         yield moved, ""
-    for suspect in check.suspected:
+    for suspect in axis.faults.suspected:
         what = f"what looks like a {suspect.test.fault.title} (p = {number(suspect.test.p_value, 2)})"
         if suspect.law is not None:
             what = f"that {suspect.law.words}, which this record does not exclude,"

@@ -40,8 +40,7 @@ from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
 from jointid.uncertainty.covariance import Influence
 
-MEMORY = 0.3
-"""Seconds that a loop remembers."""
+MEMORY = 0.3  # s, that a loop remembers
 _SHORTEST = 2.0  # s of a record: a shorter one has fewer than two samples for each number of the responses
 
 # The samples

@@ -52,8 +52,7 @@ from jointid.uncertainty.covariance import Influence, smoothed_spectrum
 from jointid.uncertainty.model_tests import Filter, fit_whitener, whiteness
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
-LEVEL = 0.02
-"""Largest share of records without a fault in which one is found."""
+LEVEL = 0.02  # largest share of records without a fault in which one is found
 _RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _FORCES = 32  # independent ones: the deviation of what they show is known to an eighth

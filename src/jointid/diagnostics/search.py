@@ -67,8 +67,7 @@ from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import INTERVAL, ROUNDING
 from jointid.uncertainty.position_dependent_error import cells
 
-MOST = 3
-"""Faults of one axis, at most."""
+MOST = 3  # faults of one axis
 _NEAR = 0.5  # p-value of a fault of the mechanics that one in twenty healthy joints has
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics

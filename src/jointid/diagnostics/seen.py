@@ -21,6 +21,7 @@ from jointid.simulation.simulate import Simulation, require_success
 Columns: TypeAlias = Iterable[tuple[float | None, FloatArray | None]]
 """Shapes of a fault, and what each adds to the torque per unit of its size, (samples,); None where that fails."""
 
+_SPEEDS = (0.02, 0.04, 0.08, 0.16)  # of the largest speed: the Stribeck speeds that are tried, of a loop but the last
 _WILD = 10.0  # times the torque: a loop that is unstable with a law so different is not that of the record
 _FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
 
@@ -63,6 +64,13 @@ class Seen:
     def trials(self) -> dict[int, tuple[ClosedLoopProblem, FloatArray]]:
         """Problem and start per joint with other laws, by torque change's identity."""
         return {}
+
+    @cached_property
+    def at_low_speeds(self) -> list[tuple[float, FloatArray]]:
+        """Speeds, and the torque's change by a unit of friction that is there below each, (samples,)."""
+        fastest = float(np.max(np.abs(self.velocity), initial=0.0)) or 1.0
+        speeds = [share * fastest for share in (_SPEEDS[:-1] if self.loop else _SPEEDS)]
+        return [(by, self.force(-np.exp(-((self.velocity / by) ** 2)) * np.sign(self.velocity))) for by in speeds]
 
     @cached_property
     def plain(self) -> FloatArray:

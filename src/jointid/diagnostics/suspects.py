@@ -31,8 +31,7 @@ _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: t
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
 _SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
 _LEAST_SAG = 0.04  # of the torque at the peak: to so much a torque constant is known to be one
-_WAVES, _TURNS = 4, 2.0 * np.pi  # periods in the travel; rad of a motor, at least, that show an error of each turn
-_SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
+_WAVES, _TURNS = 4, 1.5  # periods in the travel; rad of a motor, at least, that show an error of each turn
 _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
 _OF_LOAD = 1.0  # shape of a friction under load that is the load's; that of the motor has none
@@ -40,8 +39,7 @@ _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at 
 _LIKELIEST = 6  # that are simulated
 _WAVES_TRIED = np.arange(3.0, 150.0, 0.25)  # times that a ripple comes back over the travel
 _RANK = 1e-10  # of the largest singular value of columns
-VISCOUS, COULOMB = 1.0, 0.0
-"""Shapes of a friction that changes over the record."""
+VISCOUS, COULOMB = 1.0, 0.0  # shapes of a friction that changes over the record
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,11 +346,13 @@ def _saturate(seen: Seen) -> Columns:
         yield power, seen.force(-current * share**power)
 
 
-def _hang(seen: Seen) -> Columns:
-    """Yield the weight of a loop's load that hangs in four directions."""
+def _hang(logged: bool, seen: Seen) -> Columns:
+    """Yield the weight of a loop's load that hangs in four directions, and whether the log shows it."""
     angle = seen.turned("load")
-    if angle is not None and seen.loop is not None and seen.loop[0].joint.gravity is None:
-        yield from ((hangs, seen.force(-np.sin(angle - hangs))) for hangs in _HANGS)
+    if angle is None or seen.loop is None or seen.loop[0].joint.gravity is not None:
+        return
+    sine, cosine = (seen.force(one, None if logged else one) for one in (np.sin(angle), np.cos(angle)))
+    yield from ((hangs, np.sin(hangs) * cosine - np.cos(hangs) * sine) for hangs in _HANGS)
 
 
 def _misread(seen: Seen) -> Columns:
@@ -426,11 +426,8 @@ def _follow_other(name: str, seen: Seen) -> Columns:
 def _at_low_speed(sign: float, seen: Seen) -> Columns:
     """Yield friction changes by ``S exp(-(v / vs)^2)``, for some vs."""
     own = "" if seen.loop is None else seen.loop[0].joint.friction.name
-    if "stribeck" in own or "presliding" in own:
-        return
-    fastest = float(np.max(np.abs(seen.velocity), initial=0.0)) or 1.0
-    for speed in (share * fastest for share in (*_SPEEDS, *([] if seen.loop else [2 * _SPEEDS[-1]]))):
-        yield speed, seen.force(-sign * np.exp(-((seen.velocity / speed) ** 2)) * np.sign(seen.velocity))
+    if "stribeck" not in own and "presliding" not in own:
+        yield from ((speed, sign * column) for speed, column in seen.at_low_speeds)
 
 
 def _along_travel(seen: Seen) -> Columns:
@@ -532,7 +529,13 @@ _ROWS = (
         "the joint file has one torque constant: record with half of that torque",
         mechanical=True, one_sided=True, least=_LEAST_SAG, measure="%",
     ),
-    _position("gravity", "load that hangs", _hang, 'declare it: [gravity] load = "link"', measure="torque"),
+    _position(
+        "gravity", "load that hangs", partial(_hang, True), 'declare it: [gravity] load = "link"', measure="torque"
+    ),
+    Fault(
+        "torque_without_gravity", "load that hangs, whose weight is not in the logged torque", partial(_hang, False),
+        "log the whole torque", kin="gravity", measure="torque",
+    ),
     _position(
         "position_force", "force that follows the position", _wave,
         "a gear that turns unevenly, a cable or a counterbalance makes one",
@@ -584,8 +587,7 @@ _ROWS = (
     ),
     LIMIT,
 )  # fmt: skip
-FAULTS = {one.name: one for one in _ROWS}
-"""Every fault that can be tested, by its code, in the order of the tests."""
+FAULTS = {one.name: one for one in _ROWS}  # that can be tested, in the order of the tests
 
 
 def number_fault(name: str) -> Fault:

@@ -71,7 +71,6 @@ LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
             pytest.param(6, joint, fault, marks=pytest.mark.slow)
             for fault in ("log_gain", "torque_sign")
             for joint in range(6)
-            if (joint, fault) != (4, "log_gain")  # which a force in its loop may look like
         ),
         pytest.param(6, 1, "log_delay", marks=pytest.mark.slow),
     ],
@@ -83,11 +82,10 @@ def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_othe
     found = identify(records, arm(count), IDIM())
     diagnosis = found.diagnosis
     cause = diagnosis.cause
-    assert [*named(diagnosis), *([] if cause is None else [(*cause.joints, cause.name)])] == [
-        (f"joint{joint + 1}", fault)
-    ]
-    assert any(one.passed is False for one in found.checks)
-    if fault == "log_gain":
+    right = [(f"joint{joint + 1}", fault)] * ((joint, fault) != (4, "log_gain"))  # a force in its loop looks like that
+    assert [*named(diagnosis), *([] if cause is None else [(*cause.joints, cause.name)])] == right
+    assert any(one.passed is False for one in found.checks) or not right
+    if right and fault == "log_gain":
         gain = 1.0 + diagnosis.axes[joint].faults.findings[0].test.size if cause is None else cause.value
         assert gain == pytest.approx(0.8, rel=0.1)  # by one step, beside the parameters of all joints
 

@@ -27,11 +27,7 @@ def identified(ways):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("ways", "named"),
-    [
-        ([CUBIC, {}], ["cubic_reference", None]),
-        ([{}, MEAN], [None, "averaged_reference"]),
-        ([{}, {}], [None, None]),
-    ],
+    [([CUBIC, {}], ["cubic_reference", None]), ([{}, MEAN], [None, "averaged_reference"]), ([{}, {}], [None, None])],
 )
 def test_what_a_drive_does_with_its_reference_is_named_at_its_joint(ways, named):
     axes = [[one.test.name for one in axis.faults.findings] for axis in identified(ways).axes]
