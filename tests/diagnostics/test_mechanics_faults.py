@@ -232,7 +232,7 @@ def test_what_is_not_excluded_widens_the_intervals() -> None:
     found = Finding(test, None, (), {"stiffness": ParameterShift(-20.0, -2.5), "damping": ParameterShift(0.1, 0.2)})
     law = OtherLaw(FAULTS["delay"], "it is late", "a time")
     number = replace(found, test=replace(test, fault=law.fault))
-    rows: Any = dict.fromkeys(found.changes, SimpleNamespace(value=1.0))
+    rows: Any = dict.fromkeys(found.changes, SimpleNamespace(value=1.0, stderr=1e9))
 
     def widened(named: Finding | None, suspected: Finding | None = None, repeats: bool = False) -> dict[str, float]:
         faults = AxisFaults(*((one,) if one else () for one in (named, None)), {}, (suspected,) if suspected else ())
