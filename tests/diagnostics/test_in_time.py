@@ -9,14 +9,13 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.search import find_part
 from jointid.estimation.result.verdict import Reason, Subject
-from studies.robot_mistakes import judge
+from studies import healthy, robot_mistakes
 
-STEP = 1e-3
+STEP, BEGIN, END = 1e-3, 3.0, 3.8  # s, of the log and of a push
 LOOP = ji.ClosedLoop(
     ji.RigidJoint("revolute"), ji.controller.Cascade(position_gain=25.0, velocity_gain=2.0, integral_gain=2.0)
 )
 TRUTH = {"inertia": 0.02, "viscous": 0.05, "coulomb": 0.3, "offset": 0.05}
-BEGIN, END = 3.0, 3.8  # s
 
 
 def pushed(size: float) -> ji.Record:
@@ -42,6 +41,8 @@ def test_a_push_is_found_in_its_part_of_the_time_and_no_fault_is_named(size: flo
 
 def test_noise_that_comes_back_is_no_part() -> None:
     assert ji.identify(pushed(0.0).without("motor_position"), LOOP).answer.reliable
+    sweep = healthy.drive(20006, 8.0, "white force")  # whose fast end the axis does not follow
+    assert ji.identify(sweep.record, sweep.loop).answer.reliable
     time = STEP * np.arange(8000)
     white = np.random.default_rng(0).standard_normal(time.size)
     leaned = (time > 2.0) & (time < 2.8)
@@ -115,4 +116,4 @@ def test_of_a_right_record_by_other_equations_no_fault_is_named() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_a_robot_that_is_leaned_on_has_no_other_fault(seed: int) -> None:
-    assert judge(seed, "contact")[0] == ("misfit_in_part", 2)
+    assert robot_mistakes.judge(seed, "contact")[0] == ("misfit_in_part", 2)

@@ -65,7 +65,7 @@ from jointid.records.record import Record, Tap
 from jointid.simulation.simulate import require_success
 from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import INTERVAL, ROUNDING
-from jointid.uncertainty.position_dependent_error import cells
+from jointid.uncertainty.position_dependent_error import RESTING, cells
 
 MOST = 3  # faults of one axis
 _NEAR = 0.5  # p-value of a fault of the mechanics that one in twenty healthy joints has
@@ -79,8 +79,7 @@ _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not t
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 
-_BLOCKS = 40  # of a residual, in time
-_SHORTEST = 2  # blocks of a part
+_BLOCKS, _SHORTEST = 40, 2  # of a residual, in time; of a part
 _TIMES = 25.0  # as much as elsewhere: on healthy drives it is about 3, with a known fault that is not all taken off 20
 _AROUND = 0.5  # of the part that is found: what begins and dies away is longer than what is seen of it
 _MOST_OF_IT = 0.5  # of the blocks of a part
@@ -460,12 +459,13 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
     begins, stops, share = float(own[first * size]), float(own[last * size - 1]), float(within[best] / ends[-1])
     around = _AROUND * (stops - begins)
     clause = f"from {begins:.12g} to {stops:.12g} s the torque does not follow the model: leave it out "
-    clause += f"({offer('leave_out', [(begins - around, stops + around)])})"
+    clause += f"({offer('leave_out', [(max(begins - around, own[0]), min(stops + around, own[-1]))])})"
     return Message(Reason.MISFIT_IN_PART, clause, {"begin": begins, "end": stops, "share": share}, clause)
 
 
 def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray, record: Record | None) -> Message | None:
     """Message on a period that contradicts a solved joint, or None."""
-    residual, time = problem.residual(x), np.asarray(problem.sample_time * problem.log.kept)
-    time = time if record is None else record.on_clock(time)
-    return find_part(residual, np.zeros((residual.size, 1)), time)  # its columns hold near the solution alone
+    speed = np.abs(problem.simulate(x).motor_velocity[problem.log.kept])
+    moving = speed > RESTING * np.max(speed)  # an axis at rest hides a force in the loop
+    residual, time = problem.residual(x)[moving], problem.sample_time * problem.log.kept[moving]
+    return find_part(residual, np.zeros((residual.size, 1)), time if record is None else record.on_clock(time))
