@@ -9,11 +9,12 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
 from jointid.diagnostics.analysis import intervals
 from jointid.estimation.descent import History
+from jointid.estimation.methods import Task
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.spring_search import divide_coulomb_friction
+from jointid.estimation.spring_search import divide_coulomb_friction, rough_rigid_joint
 from jointid.paper.twin import Twin, twin
 from jointid.records.chunks import cut
 from jointid.records.record import Record
@@ -85,15 +86,12 @@ def test_an_axis_that_moves_at_the_first_sample_is_found_moving() -> None:
     assert abs(estimate.values["stiffness"] / axis.truth["stiffness"] - 1) <= 1e-3  # 0.01 with the load's first swing
 
 
-def test_bounds_hold_and_are_named() -> None:
+def test_bounds_hold() -> None:
     axis = twin(noise="white")
     parameters = {p.name: p for p in axis.loop.joint.parameters}
     low = {"stiffness": replace(parameters["stiffness"], upper=7.5e5)}
     estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), parameters=low)
     assert estimate.values["stiffness"] <= 7.5e5
-    (bounds,) = (verdict for verdict in estimate.checks if verdict.name == "bounds")
-    assert not bounds.passed
-    assert "stiffness at a bound" in bounds.words
 
 
 def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
@@ -160,13 +158,22 @@ def test_profiles_agree_with_the_table_where_the_criterion_is_a_parabola() -> No
     assert [1 / (end or 1.0) for end in reversed(compliance.interval)] == pytest.approx(stiffness.interval, rel=1e-3)
 
 
-@pytest.mark.slow
-def test_a_torque_of_the_wrong_sign_is_refused_in_a_sentence() -> None:
+def test_a_torque_of_the_wrong_sign_is_refused_by_its_work() -> None:
     axis = twin(noise="white")
     record = torque_only(axis)
     wrong = replace(record, torque=replace(record.torque, values=-record.torque.values))
-    with pytest.raises(MethodError, match="explains half of this torque; check the sign"):
+    with pytest.raises(MethodError, match=r"-52\.\d J of work"):
         identify(wrong, axis.loop)
+
+
+def test_a_joint_that_is_too_light_for_its_loop_is_no_start() -> None:
+    drive, history = healthy.drive(7, 10.0), History(ignore_progress)  # a sweep across its mode
+    joint = drive.loop.joint
+    with pytest.raises(MethodError):
+        rough_rigid_joint(
+            Task(drive.record, joint, drive.loop, joint.parameters, Filtering(), ignore_progress), history
+        )
+    assert history.counted.evaluations < 150
 
 
 @pytest.mark.parametrize("method", [IDIM(), pytest.param(DIDIM(), marks=pytest.mark.slow)], ids=["idim", "ls"])
@@ -174,9 +181,7 @@ def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | DIDIM) -> None
     before, after = twin(seed=1), twin(seed=2, added_mass=True)
     first, second = (identify(axis.record, axis.loop, method) for axis in (before, after))
     assert second.values["load_inertia"] - first.values["load_inertia"] == pytest.approx(10.2, abs=0.6)
-    for name, value in first.values.items():
-        if name == "load_inertia":
-            continue
+    for name in first.values.keys() - {"load_inertia"}:
         true_change = after.truth[name] - before.truth[name]
         spread = float(np.hypot(first[name].stderr or 0.0, second[name].stderr or 0.0))
-        assert abs(second.values[name] - value - true_change) <= 3 * spread, name
+        assert abs(second.values[name] - first.values[name] - true_change) <= 3 * spread, name

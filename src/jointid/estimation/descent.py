@@ -222,7 +222,7 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
     """
     # A regression keeps no bounds; an inertia of the wrong sign is that of a torque of the wrong sign.
     x, inertias = problem.vector(start), [p.quantity is Quantity.INERTIA for p in problem.free]
-    x = np.where(inertias, x, Bounds.of(problem.free).clip(x))
+    x = np.where(np.logical_and(inertias, x < 0.0), x, Bounds.of(problem.free).clip(x))
     there, counted = problem.values(x), history.counted
     homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
     started = [problem.vector(there | {"initial_position": home}) for home in homes]

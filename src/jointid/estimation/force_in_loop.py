@@ -123,7 +123,12 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
     if hertz.size < 8 or not np.mean(power) > 0:  # a log far slower than the loop shows nothing of its answer
         return None
     shapes = np.column_stack([1.0 / (1.0 + (hertz / (c * middle)) ** 2) for c in _CORNERS] + [np.ones(hertz.size)])
-    columns = np.column_stack([shapes * _response(problem, x, hertz)[:, np.newaxis], np.ones(hertz.size)])
+    law, own = problem.axis_at(x).law, [p.name for p in problem.joint.parameters]
+    late = np.exp(-2j * math.pi * hertz * (law.delay + 0.5 * law.period))
+    values = {name: problem.values(x)[name] for name in own}
+    through = frequency_response(problem.joint, values, hertz, "motor_position") * law.feedback(hertz) * late
+    response = np.abs(through / (1.0 - through)) ** 2  # of the controller's torque to a force on the motor
+    columns = np.column_stack([shapes * response[:, np.newaxis], np.ones(hertz.size)])
     # A spectrum's deviation is a share of itself, and where it is small, of what reaches there from its largest parts.
     smooth = np.convolve(np.pad(power, 2, "edge"), np.full(5, 0.2), "valid")
     weight = 1.0 / np.maximum(smooth, 1e-2 * np.max(smooth))
@@ -176,13 +181,3 @@ def _spectrum(
     together *= 0.5 * (1.0 + np.cos(math.pi * np.arange(lags + 1) / lags))
     power = np.real(np.fft.rfft(np.concatenate([together, together[-2:0:-1]])))
     return np.arange(power.size) / (2 * lags * sample_time), power
-
-
-def _response(problem: ClosedLoopProblem, x: FloatArray, hertz: FloatArray) -> FloatArray:
-    """``|T|^2``: response of the controller's torque to a force on the motor."""
-    own = {p.name for p in problem.joint.parameters}
-    values = {name: value for name, value in problem.values(x).items() if name in own}
-    law = problem.axis_at(x).law
-    late = np.exp(-2j * math.pi * hertz * (law.delay + 0.5 * law.period))
-    through = frequency_response(problem.joint, values, hertz, "motor_position") * law.feedback(hertz) * late
-    return np.asarray(np.abs(through / (1.0 - through)) ** 2)

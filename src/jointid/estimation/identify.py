@@ -213,7 +213,14 @@ def identify_record(
     wanted = adjust_parameters(joint.parameters, parameters or {})
     for one in (record, *others):
         check_record(one)
-    _require_fit(chosen, joint, loop)
+    chosen.require_settings_of(joint.model)
+    if not _simulates_loop(chosen):
+        joint.require_linear(f"{chosen.title} takes")
+    elif loop is None:
+        raise MethodError(
+            f"{chosen.title} simulates the closed loop, so it needs the controller; add [controller] or use "
+            "learn-controller (in Python give a ClosedLoop), or use IDIM with a motor_position."
+        )
     fit = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress, tuple(others)))
     said = [note for one in (record, *others) for note in find_record_warnings(one, fit.data.channels)]
     for p in wanted:
@@ -230,19 +237,6 @@ def identify_record(
         check = check_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, late, hidden)
         fit = replace(fit, checks=(*fit.checks, check))
     return replace(fit, records=() if others else (record,)).warn(*dict.fromkeys(said))
-
-
-def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
-    """Refuse a method unsuitable for the joint or without its controller."""
-    simulates_loop = _simulates_loop(method)
-    if simulates_loop and loop is None:
-        raise MethodError(
-            f"{method.title} simulates the closed loop, so it needs the controller; add [controller] or use "
-            "learn-controller (in Python give a ClosedLoop), or use IDIM with a motor_position."
-        )
-    method.require_settings_of(joint.model)
-    if not simulates_loop:
-        joint.require_linear(f"{method.title} takes")
 
 
 def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None:

@@ -17,6 +17,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Parameter
+from jointid.common.text import number
 from jointid.estimation.descent import Solved
 from jointid.estimation.problems.inverse_model import (
     Inverse,
@@ -78,6 +79,21 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
     regular = {p.name: 0.0 if p.free else p.start or 0.0 for p in problem.parameters}
     regular["inertia"] = abs(_regress_joint(problem, torque, reference, 0.0)["inertia"])
     return regular | {"initial_position": float(reference[0]), "initial_velocity": 0.0}
+
+
+def require_work(problem: ClosedLoopProblem) -> None:
+    """Refuse a torque that takes energy along its motion; one that moves a joint does not."""
+    try:
+        torque, position = _turn_round(problem)
+    except MethodError:  # a controller that cannot be turned round tells no motion
+        return
+    # A constant load gives back what lifting it took.
+    work = float((torque - np.mean(torque)) @ np.gradient(position))
+    if work < 0.0:
+        raise MethodError(
+            f"The torque does {number(work, 3)} J of work along the motion that it means; expected more than 0, as "
+            "every joint has friction: turn the sign of torque or reference round, or check the unit of both."
+        )
 
 
 def fit_initial_state(problem: ClosedLoopProblem) -> FloatArray:

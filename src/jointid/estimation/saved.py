@@ -72,6 +72,10 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
     empty = np.zeros((0,) if robot is None else (0, len(robot)))
     law = loop if method_of(settings["method"]).simulates == "loop" else None
     said = {name: read(tuple[str, ...], answer[name]) for name in ("warnings", "notes")}
+    if (agreement := answer.get("agreement")) is not None:  # without correlations
+        spread = [covariance_of(np.diag(np.square([*one["std"].values()]))) for one in agreement["parts"]]
+        parts = (read(Alone, one, covariance=own) for one, own in zip(agreement["parts"], spread, strict=True))
+        agreement = read(Agreement, agreement, parts=tuple(parts))
     found = Estimate(
         tuple(rows.values()),
         _correlation(answer, sum(row.free for row in rows.values()), robot is not None),
@@ -79,18 +83,12 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
         read(Data, answer["data"]),
         read(Settings, settings, system=robot or system, loop=law, controller=str(answer["controller_sha256"])),
         read(tuple[Check, ...], answer["checks"]), read(Identifiability | None, answer.get("known")),
-        read(tuple[StiffnessBound, ...], answer["bounds"]), _read_agreement(answer.get("agreement")),
+        read(tuple[StiffnessBound, ...], answer["bounds"]), agreement,
         robot=part, **said,
     )  # fmt: skip
     found = judged(found)
     found.summary(details=True)  # what cannot be described is damaged
     return found
-
-
-def _read_agreement(stated: Any) -> Agreement | None:
-    parts = [(one, np.square([*one["std"].values()])) for one in ([] if stated is None else stated["parts"])]
-    alone = tuple(read(Alone, one, covariance=covariance_of(np.diag(squares))) for one, squares in parts)
-    return None if stated is None else read(Agreement, stated, parts=alone)  # without correlations
 
 
 def _share(value: object) -> float:

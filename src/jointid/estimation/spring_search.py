@@ -42,7 +42,13 @@ from jointid.estimation.descent import NOTHING, ROUGH, ROUGHLY, History, Solved,
 from jointid.estimation.methods import Task
 from jointid.estimation.parameters import INITIAL_STATE, RobotParameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, outcome_of, torque_problem
-from jointid.estimation.rigid_starts import first_state, reconstructed_position, regular_start, rigid_starts
+from jointid.estimation.rigid_starts import (
+    first_state,
+    reconstructed_position,
+    regular_start,
+    require_work,
+    rigid_starts,
+)
 from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import FlexibleJoint, acts_on_whole, split_by_mode, spring_at
 from jointid.records.record import Record
@@ -69,6 +75,7 @@ DAMPED = 0.03
 
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
+_FASTEST_LOOP = 0.25  # of the controller's frequency: at a lighter joint, which crosses over faster, the loop chatters
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
 _LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tried where no rigid joint is found
 
@@ -122,6 +129,7 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
         rough = rough_rigid_joint(task, history)
         rigid = {p.name: rough.values[p.name] for p in rough.problem.joint.parameters}
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
+        require_work(problem)
         history.progress(Detail(error, "starting from a joint that follows its reference"))
     motion = _find_motion(problem, rough)
 
@@ -178,7 +186,10 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
     def search(edge: float) -> Solved:
         history.progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
         problem = _rigid_problem(task, edge)
-        return search_rigid_joint(problem, rigid_starts(problem, history.progress), rough)
+        end = search_rigid_joint(problem, rigid_starts(problem, history.progress), rough)
+        if end.values["inertia"] <= problem.free_joint[0].lower:
+            raise MethodError(f"Below {edge:.3g} Hz no rigid joint that its loop can hold explains the torque.")
+        return end
 
     for _ in range(_LOWERED):  # a mode below the cut-off may make the joint look like none at all
         with contextlib.suppress(MethodError):
@@ -202,7 +213,10 @@ def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
     assert task.loop is not None
     joint = task.loop.joint
     joint = (joint.rigid if isinstance(joint, FlexibleJoint) else joint).linear
-    return torque_problem(task.record, replace(task.loop, joint=joint), Filtering(cutoff=cutoff), joint.parameters)
+    problem = torque_problem(task.record, replace(task.loop, joint=joint), Filtering(cutoff=cutoff), joint.parameters)
+    law, at = problem.axis.law, _FASTEST_LOOP / problem.axis.law.period
+    least = float(np.abs(law.feedback(np.array([at])))[0]) / (2 * math.pi * at) ** 2
+    return problem.replace_parameters({"inertia": replace(joint.parameters[0], lower=least)})
 
 
 def _follow_reference(task: Task) -> dict[str, float]:
@@ -317,7 +331,7 @@ def _explore(
     history.counted.evaluations += len(starts)
     found = dict[object, dict[str, float]]()
     for i in np.argsort(costs):
-        if costs[i] < _UNSTABLE * problem.size:  # a start beside another leads nowhere new
+        if costs[i] < (_UNSTABLE if widely else 1.0) * problem.size:  # a start beside another leads nowhere new
             found.setdefault(each[i][0] if len(row) > 1 else i, starts[i])
     if not found:
         raise MethodError(

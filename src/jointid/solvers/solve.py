@@ -191,8 +191,8 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
         # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
         elif gained <= 0.0 and _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
             status = Status.ROUNDING
-        # Steps with a reach, long or short, that all change nothing have come to the end.
-        idle = idle + 1 if reach is not None and abs(gained) <= solver.tolerance else 0
+        # Steps, long or short, that change nothing, with none between them that does, have come to the end.
+        idle = 0 if gained > solver.tolerance else idle + (abs(gained) <= solver.tolerance)
         if status is None and (idle >= _PATIENCE or damping >= _MOST):
             status = Status.COST if idle >= _PATIENCE else Status.NO_DESCENT
         if solver.reach is not None:

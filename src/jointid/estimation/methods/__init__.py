@@ -7,13 +7,13 @@ It is read by identification, the joint file with its checks, the command line, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 from jointid.common.errors import MethodError
-from jointid.common.settings import check_settings, settings_of
+from jointid.common.settings import check_settings, declare, setting, settings_of
 
 if TYPE_CHECKING:
     from jointid.common.messages import Progress
@@ -39,21 +39,20 @@ ROBOT = ("robot",)
 CALLED: Mapping[str, str] = {"rigid": "a rigid joint", "flexible": "a flexible joint", "robot": "a robot"}
 """What sentences call them."""
 
-
-SURROUNDINGS = (
-    "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
-    'declared: a number of the law such as "position_gain", "delay" or "torque_filters.0.frequency", or "log_gain", '
-    '"log_delay". For a robot only delays: "delay" for all joints, "elbow.delay" for one'
+OFFSETS: Any = setting(True, "of a robot: whether a constant torque of each motor is identified, too", systems=ROBOT)
+EVALUATIONS: Any = setting(
+    60,
+    "of a robot: simulations with derivatives at most, of each search of springs or of nonlinear laws",
+    at_least=1,
+    systems=ROBOT,
 )
-"""What the methods that simulate the loop say of their setting ``free``."""
-
-OFFSETS = "of a robot: whether a constant torque of each motor is identified, too"
-EVALUATIONS = "of a robot: simulations with derivatives at most, of each search of springs or of nonlinear laws"
-FREQUENCIES = (
+_FREQUENCIES = declare(
     "of a robot: by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of "
-    "springs begins; without them they are searched"
+    "springs begins; without them they are searched",
+    systems=ROBOT,
 )
-"""What the methods that simulate a robot say of their settings."""
+FREQUENCIES: Any = field(default_factory=dict, hash=False, metadata=_FREQUENCIES)
+"""Settings of the methods that simulate a robot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

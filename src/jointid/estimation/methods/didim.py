@@ -20,12 +20,12 @@ is searched for by `estimation.robots`.
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.settings import add_settings_to_docstring, declare, setting
+from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.common.text import join
 from jointid.estimation.descent import (
     NOTHING,
@@ -37,16 +37,7 @@ from jointid.estimation.descent import (
     search_rigid_joint,
 )
 from jointid.estimation.force_in_loop import widen_for_force
-from jointid.estimation.methods import (
-    EVALUATIONS,
-    FREQUENCIES,
-    MODELS,
-    OFFSETS,
-    ROBOT,
-    SURROUNDINGS,
-    Method,
-    Task,
-)
+from jointid.estimation.methods import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, Method, Task
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, require_free, torque_problem
 from jointid.estimation.result.estimate import (
@@ -105,18 +96,21 @@ class DIDIM(Method):
         above=0,
         systems=("flexible",),
     )
-    free: tuple[str, ...] = setting((), SURROUNDINGS)
+    free: tuple[str, ...] = setting(
+        (),
+        "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
+        'declared: a number of the law such as "position_gain", "delay" or "torque_filters.0.frequency", or '
+        '"log_gain", "log_delay". For a robot only delays: "delay" for all joints, "elbow.delay" for one',
+    )
     outputs: tuple[str, ...] = setting(
         (),
         'signal that is fitted: ["torque"], or ["motor_position"] seen through the controller; by default the torque '
         "if it is logged, else the motor position",
         accept=_check_outputs,
     )
-    offsets: bool = setting(True, OFFSETS, systems=ROBOT)
-    evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)
-    frequencies: Mapping[str, float] = field(
-        default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
-    )
+    offsets: bool = OFFSETS
+    evaluations: int = EVALUATIONS
+    frequencies: Mapping[str, float] = FREQUENCIES
 
     def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque and reference; a motor position is unused.

@@ -17,16 +17,16 @@ squares is biased: the intervals are widened for that (`Influence.widen_for_moti
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.settings import add_settings_to_docstring, declare, setting
+from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.estimation.descent import ROUGHLY, History, Solved
-from jointid.estimation.methods import EVALUATIONS, FREQUENCIES, OFFSETS, ROBOT, Method, Task
+from jointid.estimation.methods import EVALUATIONS, FREQUENCIES, OFFSETS, Method, Task
 from jointid.estimation.parameters import LOG_DELAY, log_delay
 from jointid.estimation.problems.inverse_model import (
     SAID,
@@ -109,11 +109,9 @@ class DriveSideFit(Method):
         "estimated",
         unit="s",
     )
-    offsets: bool = setting(True, OFFSETS, systems=ROBOT)
-    evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)
-    frequencies: Mapping[str, float] = field(
-        default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
-    )
+    offsets: bool = OFFSETS
+    evaluations: int = EVALUATIONS
+    frequencies: Mapping[str, float] = FREQUENCIES
 
     identify_robot = identify_simulated_robot
 

@@ -183,7 +183,8 @@ class IDIM(Method):
         if ENCODER_OFFSET in inverse.parameters:
             with suppress(MethodError):  # nothing tells it from the other forces
                 solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET}, make)
-        if solved is None or not _shows_zeros(solved):
+        slight = 1e-3 * float(np.sqrt(np.mean(rows.Y**2)))  # as much is left by filters
+        if solved is None or not abs(solved.values[-1]) > max(SHOWN * solved.covariance.std[-1], slight):
             solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET.fix(0.0)}, make)
         free, values, common = solved.free, solved.values, motions[0].filtering
         limit, model = min(one.limit for one in motions), "flexible" if rows.equations > rows.driven else "rigid"
@@ -215,12 +216,6 @@ def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
     said = "columns are correlated with errors" if rejected else "nothing speaks against least squares"
     said = f"{said} (p = {p_value:.2g}): its values {'are biased' if rejected else 'agree with these'}"
     return check_of(Subject.INSTRUMENTS, not rejected, Reason.MOTION_MEASURED, said, {"p_value": p_value})
-
-
-def _shows_zeros(found: Solution) -> bool:
-    """Test whether two encoders count from different zeros."""
-    slight = 1e-3 * float(np.sqrt(np.mean(found.rows.Y**2)))  # as much is left by filters
-    return bool(abs(found.values[-1]) > max(SHOWN * found.covariance.std[-1], slight))
 
 
 def torques_along(

@@ -210,7 +210,9 @@ def drift(
     scatter, stated = np.zeros((x.size, x.size)), np.zeros(x.size)
     for part in parts:
         sums = total([w.sums for w in part])
-        back, determined = _invert_root(sums.A)
+        scale, values, vectors = determine(sums.A)
+        back = vectors / np.sqrt(values) @ vectors.T / scale[:, np.newaxis]  # a root of the inverse
+        determined = np.sum(vectors**2, axis=1) > 1.0 - 1e-6
         step = -back @ (back.T @ sums.b)
         fits.append((x + step, back, determined))
         # A window takes part in what it is compared with, one that tells much more than one that tells little.
@@ -229,9 +231,3 @@ def drift(
         error = total([w.sums for w in part]).relative_error
         alone.append(Alone({names[i]: float(values[i]) for i in at}, covariance, when, error))
     return compare_records(alone, {name: units[name] for name in names}, "segments")
-
-
-def _invert_root(A: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Symmetric inverse root of scaled J'J, and the determined parameters."""
-    scale, values, vectors = determine(A)
-    return vectors / np.sqrt(values) @ vectors.T / scale[:, np.newaxis], np.sum(vectors**2, axis=1) > 1.0 - 1e-6

@@ -58,7 +58,10 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     fit, rows, parts = estimate.fit, estimate.rows, _parts_of(estimate, "segments")
     if axes := [*fit.axis_errors]:
         columns = {"estimate": fit.axis_errors} | ({"nominal": fit.nominal_errors} if fit.nominal_errors else {})
-        errors = [(f"{name}, %", [_percent(of[axis]) for axis in axes], False) for name, of in columns.items()]
+        errors = [
+            (f"{name}, %", [f"{100 * of[a]:.3g}" if math.isfinite(of[a]) else "runs away" for a in axes], False)
+            for name, of in columns.items()
+        ]
         caption = "filtered torque that is left, of the record it was identified from"
         yield _table(caption, ("joint", axes, True), *errors)
     yield parameters_table(estimate, details=details)
@@ -100,10 +103,6 @@ def _table(caption: str, *columns: Column) -> Table:
     """Return the table of some columns."""
     header, cells, words = zip(*columns, strict=True)
     return Table(header, tuple(zip(*cells, strict=True)), caption, tuple(i for i, word in enumerate(words) if word))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g}" if math.isfinite(share) else "runs away"
 
 
 def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) -> Iterator[tuple[str, str]]:
