@@ -534,7 +534,7 @@ _ROWS = (
     ),
     Fault(
         "torque_without_gravity", "load that hangs, whose weight is not in the logged torque", partial(_hang, False),
-        "log the whole torque", kin="gravity", measure="torque",
+        "log the whole torque", kin="gravity", mechanical=True, measure="torque",
     ),
     _position(
         "position_force", "force that follows the position", _wave,
