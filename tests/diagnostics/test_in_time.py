@@ -87,20 +87,6 @@ def test_an_encoder_off_its_centre_is_no_load_that_hangs(travel: float) -> None:
     assert estimate["stiffness"].interval[0] < 30.0 < estimate["stiffness"].interval[1]
 
 
-def test_a_torque_without_gravity_is_no_friction_under_load() -> None:
-    hangs = replace(LOOP, joint=ji.RigidJoint("revolute", gravity=ji.Gravity("link")))
-    reference = ji.excitation.trapezoids((1.0, 2.0, 4.0), 40.0, 2.0, STEP, duration=8.0)
-    noise = 0.01 * np.random.default_rng(1).standard_normal(reference.size)
-    record = ji.simulated_record(
-        hangs, reference, TRUTH | {"gravity_cos": 0.0, "gravity_sin": 1.0}, sample_time=STEP, torque_noise=noise
-    )
-    torque = replace(record.torque, values=record.torque.values - np.sin(record.motor_position.values))
-    estimate = ji.identify(replace(record, torque=torque).without("motor_position"), LOOP)
-    (found,) = estimate.diagnosis.axes[0].faults.findings
-    assert (found.test.name, found.test.size) == ("torque_without_gravity", pytest.approx(1.0, rel=0.1))
-    assert estimate["inertia"].interval[0] < 0.02 < estimate["inertia"].interval[1]
-
-
 @pytest.mark.parametrize(("gap", "code"), [(3e-3, "backlash"), pytest.param(0.03, "", marks=pytest.mark.slow)])
 def test_play_at_the_horn_is_backlash_or_something_else(gap: float, code: str) -> None:
     (loop, *_) = (one for one in identified(2.0, gap=gap).checks if one.name is Subject.LOOP)

@@ -346,12 +346,12 @@ def _saturate(seen: Seen) -> Columns:
         yield power, seen.force(-current * share**power)
 
 
-def _hang(logged: bool, seen: Seen) -> Columns:
-    """Yield the weight of a loop's load that hangs in four directions, and whether the log shows it."""
+def _hang(seen: Seen) -> Columns:
+    """Yield the weight of a loop's load that hangs in four directions."""
     angle = seen.turned("load")
     if angle is None or seen.loop is None or seen.loop[0].joint.gravity is not None:
         return
-    sine, cosine = (seen.force(one, None if logged else one) for one in (np.sin(angle), np.cos(angle)))
+    sine, cosine = seen.force(np.sin(angle)), seen.force(np.cos(angle))
     yield from ((hangs, np.sin(hangs) * cosine - np.cos(hangs) * sine) for hangs in _HANGS)
 
 
@@ -529,13 +529,7 @@ _ROWS = (
         "the joint file has one torque constant: record with half of that torque",
         mechanical=True, one_sided=True, least=_LEAST_SAG, measure="%",
     ),
-    _position(
-        "gravity", "load that hangs", partial(_hang, True), 'declare it: [gravity] load = "link"', measure="torque"
-    ),
-    Fault(
-        "torque_without_gravity", "load that hangs, whose weight is not in the logged torque", partial(_hang, False),
-        "log the whole torque", kin="gravity", mechanical=True, measure="torque",
-    ),
+    _position("gravity", "load that hangs", _hang, 'declare it: [gravity] load = "link"', measure="torque"),
     _position(
         "position_force", "force that follows the position", _wave,
         "a gear that turns unevenly, a cable or a counterbalance makes one",
