@@ -331,7 +331,7 @@ def _explore(
     history.counted.evaluations += len(starts)
     found = dict[object, dict[str, float]]()
     for i in np.argsort(costs):
-        if costs[i] < (_UNSTABLE if widely else 1.0) * problem.size:  # a start beside another leads nowhere new
+        if costs[i] < _UNSTABLE * problem.size:  # a start beside another leads nowhere new
             found.setdefault(each[i][0] if len(row) > 1 else i, starts[i])
     if not found:
         raise MethodError(
