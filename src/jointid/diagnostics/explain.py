@@ -356,7 +356,7 @@ class Fit:
     case: Case
     problem: ClosedLoopProblem
     x: FloatArray
-    error: float
+    error: float = math.inf
 
     @property
     def number(self) -> float | None:
@@ -364,6 +364,12 @@ class Fit:
         if not self.case.free:
             return self.case.factor
         return (self.case.factor or 1.0) * self.problem.values(self.x)[self.case.free]
+
+    def begin(self) -> Fit:
+        """Return the start with its residual share."""
+        with np.errstate(all="ignore"):  # a loop that runs away, or a torque that the filter removes
+            left = np.linalg.norm(self.problem.residual(self.x)) / self.problem.size
+        return replace(self, error=float(left) if math.isfinite(left) else math.inf)
 
     def descend(self, evaluations: int) -> Fit | None:
         """Return the fit after a limited descent; None if it fails."""
@@ -388,12 +394,14 @@ def _race(starts: Sequence[Iterator[Fit]], most: int, loss: float = 0.0) -> list
     The starts with the least residual are followed, and those as declared. Cases within the share `loss` of the best
     are kept.
     """
+    listed = in_threads(list, starts)
+    step = 1 + sum(map(len, listed)) // most
 
-    def choose(own: Iterator[Fit]) -> list[Fit]:
-        some = itertools.islice(own, max(most // len(starts), 1))
+    def choose(own: Sequence[Fit]) -> list[Fit]:
+        some = (fit.begin() for fit in own[::step])
         return heapq.nsmallest(_STARTS, (fit for fit in some if fit.error < _ASTRAY), key=lambda fit: fit.error)
 
-    begun = list(itertools.chain(*in_threads(choose, starts)))
+    begun = list(itertools.chain(*in_threads(choose, listed)))
     begun.sort(key=lambda fit: (fit.case.change is not None, fit.error))
     followed = in_threads(lambda fit: fit.descend(_FEW), begun[: most // (2 * _FEW)])
     fits, best = sorted(filter(None, followed), key=lambda fit: fit.error), dict[int, Fit]()
@@ -430,15 +438,11 @@ def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
 
 
 def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
-    """Yield a start with its residual share, at several delays if free."""
+    """Yield a start, at several delays if free."""
     undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
     started = {p.name: p.start or 0.0 for p in problem.parameters if p.name == case.free}
     for late in ({DELAY: late} for late in DELAYS) if undeclared else ({},):
-        x, left = problem.vector({**values, **late, **started}), math.inf
-        if problem.size > 0.0:  # else a torque that the filter removes
-            with np.errstate(all="ignore"):  # a loop that runs away
-                left = float(np.linalg.norm(problem.residual(x))) / problem.size
-        yield Fit(case, problem, x, left if math.isfinite(left) else math.inf)
+        yield Fit(case, problem, problem.vector({**values, **late, **started}))
 
 
 def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
