@@ -7,19 +7,7 @@ from typing import Any
 import pytest
 
 import jointid as ji
-from jointid.common.document import (
-    Code,
-    Document,
-    Facts,
-    Heading,
-    Listing,
-    Paragraph,
-    Picture,
-    Table,
-    Verdicts,
-    plain_console,
-    templates,
-)
+from jointid.common.document import Document, Facts, Picture, Table, Text, plain_console, templates
 from tests.output.report import reports
 
 EVIL = '<script>alert("1")</script>\x1b[31m[red](javascript:x)'
@@ -32,11 +20,11 @@ def every(text: str) -> Document:
         (
             Facts(((text, text),)),
             Table((text, text), ((text, text),), text),
-            Heading(text),
-            Verdicts(((text, True, (text,)), (text, False, (text, text)), (text, None, (text,)))),
-            Paragraph(text),
-            Listing((text, text)),
-            Code(text),
+            Text(text, "heading"),
+            Facts(((text, text), (text, f"{text}\n{text}"), (text, text)), (True, False, None)),
+            Text(text),
+            Text("\n".join((text, text)), "list"),
+            Text(text, "code"),
             Picture("p.svg", lambda: b"<svg/>", text),
         ),
     )

@@ -13,7 +13,7 @@ import numpy as np
 from jointid.campaigns.drift import FALSE_ALARM, Change, Loss, Series, judge, losses_of, name_series, series_of
 from jointid.campaigns.run import Outcome, Row
 from jointid.common.charts import ERROR, MEASURED, SIMULATED, mark, panels, styled, svg
-from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Picture, Table
+from jointid.common.document import Block, Document, Documented, Facts, Picture, Table, Text
 from jointid.common.text import join, number, pluralise, short
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class CampaignReport(Documented):
         counts = Counter(row.outcome for row in self.rows)
         ends = ", ".join(f"{count} {outcome}" for outcome in Outcome if (count := counts[outcome]))
         blocks: list[Block] = [
-            Paragraph(self.sentence, tone=_TONES[self.verdict[1]]),
+            Text(self.sentence, style=_TONES[self.verdict[1]]),
             Facts((("cases", f"{len(self.rows)}: {ends}"),)),
             *(_pictures(self.drifted, self.series, self.losses) if pictures else ()),
             *self._loss_blocks(most),
@@ -100,7 +100,7 @@ class CampaignReport(Documented):
 
     def _loss_blocks(self, most: int | None) -> Iterator[Block]:
         if self.losses:
-            yield Heading("Lost")
+            yield Text("Lost", "heading")
             rows = tuple(map(_loss_row, self.losses[:most]))
             yield Table(("joint", "quantity", "last value", "runs without", "why"), rows, "", (0, 1, 2, 4))
 
@@ -109,13 +109,13 @@ class CampaignReport(Documented):
             return
         header = ("joint", "quantity", "change %", "2 sigma", "kind", "since", "p")
         if self.drifted:
-            yield Heading("Drifted")
+            yield Text("Drifted", "heading")
             yield Table(header, tuple(map(_drift_row, self.drifted[:most])), "", (0, 1, 4, 5))
         others = [one for one in self.changes if not one.significant][:most]
         if others:
-            yield Heading("Largest changes within scatter")
+            yield Text("Largest changes within scatter", "heading")
             yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5))
-        yield Paragraph(
+        yield Text(
             f"{pluralise(len(self.changes), 'quantity', 'quantities')} of joints were watched; the chance that any is "
             f"named without drift is {number(100 * self.false_alarm, 2)} % at most, if the runs of a joint scatter "
             "independently of one another."
@@ -134,7 +134,7 @@ class CampaignReport(Documented):
             middle = float(np.median(ratios))
             verdict = "as stated" if _CAREFUL <= middle <= _LAX else "more than stated" if middle > _LAX else "less"
             rows.append((quantity, number(middle, 2), number(float(np.max(ratios)), 2), str(len(ratios)), verdict))
-        yield Heading("Scatter from run to run over the stated standard deviation")
+        yield Text("Scatter from run to run over the stated standard deviation", "heading")
         yield Table(("quantity", "median", "largest", "joints", "verdict"), tuple(rows), "", (0, 4))
 
     def _outlier_blocks(self, most: int | None) -> Iterator[Block]:
@@ -146,7 +146,7 @@ class CampaignReport(Documented):
             if off
         ]
         if runs:
-            yield Heading("Runs that stand out from their joint")
+            yield Text("Runs that stand out from their joint", "heading")
             runs.sort(key=lambda row: -float(row[-1]))
             yield Table(("joint", "quantity", "run", "off %", "deviations"), tuple(runs[:most]), "", (0, 1, 2))
 
@@ -189,7 +189,7 @@ def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
                 cuts = [float(one) for one in np.quantile(values, (0.05, 0.5, 0.95))]
                 stated = float(np.median(stds)) if stds else None
                 shown.append((name, str(values.size), *map(number, cuts), number(spread, 3), number(stated, 3), unit))
-        yield Heading(f"Distribution: {'; '.join(changes)}" if changes else "Distribution")
+        yield Text(f"Distribution: {'; '.join(changes)}" if changes else "Distribution", "heading")
         error = number(float(np.median(errors))) if errors else "-"
         words = f"{len(runs)} of {len(tried)} identified, median error {error} %"
         header = ("parameter", "runs", "5 %", "median", "95 %", "spread", "stated std", "unit")
@@ -201,11 +201,11 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     without = [row for row in rows if row.outcome is not Outcome.IDENTIFIED]
     if not without:
         return
-    yield Heading("Without an answer")
+    yield Text("Without an answer", "heading")
     # Cases that killed workers come first: they must not be lost among many unreadable records.
     without.sort(key=lambda row: (row.outcome is not Outcome.SET_ASIDE, row.outcome is not Outcome.FAILED, row.place))
     whose = ((" ".join((row.joint, row.day, *row.changes)), row) for row in without[:most])
-    yield Listing(tuple(f"{who}, {row.outcome}: {short(row.sentence, _LONGEST)}" for who, row in whose))
+    yield Text("\n".join(f"{who}, {row.outcome}: {short(row.sentence, _LONGEST)}" for who, row in whose), "list")
 
 
 _Shown: TypeAlias = tuple[Series, str, str, Change | None]
@@ -224,7 +224,7 @@ def _pictures(changes: Sequence[Change], series: Sequence[Series], losses: Seque
     if shown:
         words = "Values of each run with 2 sigma over the days; the orange line is the level before and after a change."
         words += f" {_PANELS} of {len(shown)} are shown." * (len(shown) > _PANELS)
-        yield Heading("Values over the days")
+        yield Text("Values over the days", "heading")
         yield Picture("fleet-changes.svg", lambda: svg(_draw(shown[:_PANELS]), "fleet-changes"), words)
 
 

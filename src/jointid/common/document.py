@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,7 @@ from jointid.common.text import printable
 if TYPE_CHECKING:
     from jinja2 import Environment
     from rich.console import Console, RenderableType
-    from rich.text import Text
+    from rich.text import Text as Words
 
 _MARKS: Mapping[bool | None, tuple[str, str]] = {
     True: ("yes", "green"),
@@ -30,37 +30,16 @@ _LEAST, _ASKED = 13, 19  # characters of a fact's name and of a question, or blo
 _RULE = "    \n    \n----\n    \n    \n    \n    \n    \n"  # a line below the header only
 
 
+Style: TypeAlias = Literal["", "good", "bad", "open", "heading", "part", "list", "code"]
+"""Plain, or begun by good, bad or open news; a heading, or that of a part; a list of lines; or verbatim."""
+
+
 @dataclass(frozen=True, slots=True)
-class Heading:
-    """A heading of level 1 (the title), 2 or 3."""
+class Text:
+    """Text of one style."""
 
     text: str
-    level: int = 2
-
-
-Tone: TypeAlias = Literal["", "good", "bad", "open"]
-
-
-@dataclass(frozen=True, slots=True)
-class Paragraph:
-    """Plain text; `tone` marks the first sentence, as good or bad news."""
-
-    text: str
-    tone: Tone = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Listing:
-    """Sentences, one below the other."""
-
-    items: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Verdicts:
-    """Questions, each with an answer and reasons."""
-
-    rows: tuple[tuple[str, bool | None, tuple[str, ...]], ...]
+    style: Style = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +54,14 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Pairs of a name and a value."""
+    """Pairs of a name and a value, or of a question and its reasons, a line each.
+
+    Attributes:
+        marks: of questions, whether the answer is yes, no or not known; empty for other pairs.
+    """
 
     pairs: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Code:
-    """Verbatim text."""
-
-    text: str
+    marks: tuple[bool | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +80,7 @@ class Picture:
     wide: bool = True
 
 
-Block: TypeAlias = Heading | Paragraph | Listing | Verdicts | Table | Facts | Code | Picture
+Block: TypeAlias = Text | Table | Facts | Picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +88,7 @@ class Document:
     """A title and its blocks.
 
     Attributes:
-        blocks: in order; empty facts and listings are left out.
+        blocks: in order; empty facts and lists are left out.
         answer: JSON embedded in the page for other programs; none when empty.
     """
 
@@ -120,7 +97,7 @@ class Document:
     answer: str = ""
 
     def __post_init__(self) -> None:
-        kept = tuple(block for block in self.blocks if block not in (Facts(()), Listing(())))
+        kept = tuple(block for block in self.blocks if block not in (Facts(()), Text("", "list")))
         object.__setattr__(self, "blocks", kept)
 
     def text(self, width: int = WIDTH) -> str:
@@ -134,10 +111,21 @@ class Document:
         console.print(self.title, style="bold")
         before: Block | None = None
         for block in self.blocks:
-            if not (isinstance(before, Heading) or (before is None and isinstance(block, Facts))):
-                console.print()
-            style = "bold" if isinstance(block, Heading) else None
-            console.print(_render(block, console), style=style, crop=False, soft_wrap=isinstance(block, Code))
+            match before, block:
+                case (Text(style="heading" | "part"), _) | (None, Facts(marks=())):
+                    pass
+                case _:
+                    console.print()
+            match block:
+                case Text(text, style):
+                    bold = "bold" if style in ("heading", "part") else None
+                    console.print(text, style=bold, crop=False, soft_wrap=style == "code")
+                case Picture():
+                    console.print(block.text, crop=False)
+                case Table():
+                    console.print(_draw_table(block, console), crop=False)
+                case Facts():
+                    console.print(_draw_facts(block), crop=False)
             before = block
 
     @property
@@ -171,7 +159,7 @@ class Documented(ABC):
         """Render the document without its pictures for a notebook."""
         document = self.to_document()
         said = {document.title: None, self.sentence: None}  # printed once if they are equal
-        blocks = (*map(Paragraph, filter(None, said)), *document.blocks)
+        blocks = (*map(Text, filter(None, said)), *document.blocks)
         macros: Any = templates().get_template("blocks.html").module
         return "\n".join(str(macros.show(block)) for block in blocks if not isinstance(block, Picture))
 
@@ -189,38 +177,28 @@ def plain_console(**options: Any) -> Console:
     class PlainConsole(Console):
         """A console that escapes control characters."""
 
-        def render_str(self, text: str, **options: Any) -> Text:
+        def render_str(self, text: str, **options: Any) -> Words:
             return super().render_str(printable(text), **options)
 
     return PlainConsole(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
 
 
-def _render(block: Block, console: Console) -> RenderableType:
-    """Return a block as a rich renderable; passed checks are green."""
+def _draw_facts(block: Facts) -> RenderableType:
+    """Return a grid of pairs, with the answers of questions in colour."""
     from rich.table import Table as Grid
-    from rich.text import Text
+    from rich.text import Text as Words
 
-    if isinstance(block, Heading | Paragraph | Code | Picture):
-        return block.text
-    if isinstance(block, Listing):
-        return "\n".join(block.items)
-    if isinstance(block, Table):
-        return _table(block, console)
-    rows: Iterable[tuple[RenderableType, ...]] = (
-        block.pairs
-        if isinstance(block, Facts)
-        else ((asked, Text(*_MARKS[good]), "\n".join(reasons)) for asked, good, reasons in block.rows)
-    )
     grid = Grid.grid(padding=(0, 1, 0, 0))
-    for width in (_LEAST,) if isinstance(block, Facts) else (_ASKED, 5):
+    for width in (_ASKED, 5) if block.marks else (_LEAST,):
         grid.add_column(min_width=width, overflow="fold")
     grid.add_column(overflow="fold")
-    for row in rows:
-        grid.add_row(*row)
+    answers = [[Words(*_MARKS[mark])] for mark in block.marks] or [[] for _ in block.pairs]
+    for (name, value), answer in zip(block.pairs, answers, strict=True):
+        grid.add_row(name, *answer, value)
     return grid
 
 
-def _table(block: Table, console: Console) -> RenderableType:
+def _draw_table(block: Table, console: Console) -> RenderableType:
     """Return a table at least as wide as its numbers."""
     from rich.box import Box
     from rich.console import Group

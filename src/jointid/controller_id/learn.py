@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
+from jointid.common.document import Block, Document, Documented, Facts, Table, Text, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
@@ -160,12 +160,12 @@ class LearnedController(Documented):
         blocks: list[Block] = [
             Facts((("record", self.record), *common_facts(self.resampled, None))),
             Table(("parameter in SI", "value", "±", "unit", "%"), tuple(rows), words=(0, 3)),
-            Paragraph(explanation),
+            Text(explanation),
             Facts(tuple(facts)),
         ]
         if others:
             said = "Laws that the record does not distinguish from it, and by how much their torque differs:"
-            blocks += [Paragraph(said), Listing(tuple(others))]
+            blocks += [Text(said), Text("\n".join(others), "list")]
         return Document(self.sentence, tuple(blocks))
 
 

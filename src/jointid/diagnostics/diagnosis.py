@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Table
+from jointid.common.document import Block, Document, Documented, Facts, Table, Text
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
@@ -198,12 +198,12 @@ class Diagnosis(Documented):
         """Symptoms, a table of the axes, remedies and comparisons of laws."""
         del details
         said = tuple(sentence(str(one)) for one in self.symptoms)
-        blocks: list[Block] = [Heading("What is wrong"), Listing(said)] if said[1:] else []
+        blocks: list[Block] = [Text("What is wrong", "heading"), Text("\n".join(said), "list")] if said[1:] else []
         blocks += [] if self.transmission is None else [Facts((("transmission", str(self.transmission)),))]
         blocks += [self._table()] if self.axes else []
-        blocks += [Heading("What to do"), Listing(self.sentences)] if self.sentences else []
+        blocks += [Text("What to do", "heading"), Text("\n".join(self.sentences), "list")] if self.sentences else []
         for part in (one.to_document() for one in self.laws):
-            blocks += [Heading(part.title), *part.blocks]
+            blocks += [Text(part.title, "heading"), *part.blocks]
         return Document(self.sentence, tuple(blocks))
 
     def _table(self) -> Table:

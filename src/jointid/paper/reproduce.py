@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid import IDIM, ClosedLoop, Estimate, Filtering, FlexibleJoint, Record, RigidJoint, identify, validate
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Heading, Paragraph, Picture, Table
+from jointid.common.document import Block, Document, Picture, Table, Text
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
@@ -142,13 +142,13 @@ Cells = Mapping[str, tuple[str, ...]]
 def report_reproduction(run: Reproduction, draw: Callable[[Validation], bytes]) -> Document:
     """Report of a reproduction, beside the printed and recomputed values."""
     blocks: list[Block] = [
-        Paragraph(
+        Text(
             "M. Gautier, A. Janot, A. Jubien, P.-O. Vandanjon, Joint stiffness identification from only motor "
             "force/torque data, CDC 2011, run end to end on its digital twin. Every table shows what is printed, what "
             "follows from the printed numbers, and this run; the twin's truth is Table 2, and with the added mass "
             f"Table 4, with an offset of -3.16 N. Seed {run.seed}."
         ),
-        Paragraph(
+        Text(
             "The twin moves as the paper says, in trapezoids of velocity with pulses; what the paper does not give is "
             "ours: the speeds, the pulses' size, the public benchmark's controller (18 Hz on this mass), and a white "
             f"force of {run.first.axis.noise:.1f} N at 1 kHz inside the loop, which leaves the paper's 8 %."
@@ -156,9 +156,9 @@ def report_reproduction(run: Reproduction, draw: Callable[[Validation], bytes]) 
     ]
     fit = run.first.rigid.fit
     blocks += [
-        Heading("Table 1: the rigid joint"),
+        Text("Table 1: the rigid joint", "heading"),
         compare_table(TABLES[1], ("value", "2 sigma", "%"), _format_parameters(run.first.rigid)),
-        Paragraph(f"{fit.simulations} simulations; {fit.stop}."),
+        Text(f"{fit.simulations} simulations; {fit.stop}."),
     ]
     for numbers, part in (((2, 3), run.first), ((4, 5), run.second)):
         blocks += _tabulate_axis(numbers, part)
@@ -176,24 +176,24 @@ def _tabulate_axis(numbers: tuple[int, int], part: ReproducedExperiment) -> list
     by_idim, by_didim, best = (_add_truth(_format_parameters(e), part.axis.truth) for e in estimates)
     by_squares = "The same criterion by least squares, with the deviations of the output sensitivities"
     return [
-        Heading(f"Table {idim}: IDIM{mass}"),
+        Text(f"Table {idim}: IDIM{mass}", "heading"),
         compare_table(
             TABLES[idim], _RUN, by_idim | _format_sums(part.idim) | {"simulated": simulated, "residual": residual}
         ),
-        Paragraph(
+        Text(
             "Standard deviations are robust to autocorrelation. The noise in the measured motions is not covered: the "
             "disturbance acts inside the loop, so IDIM's regressor is correlated with its error, and ZZ1 most of all "
             "is off."
         ),
-        Heading(f"Table {didim}: DIDIM{mass}"),
+        Text(f"Table {didim}: DIDIM{mass}", "heading"),
         compare_table(TABLES[didim], _RUN, by_didim | _format_sums(part.didim) | {"simulated": direct}),
-        Paragraph(
+        Text(
             f"{part.didim.fit.stop}; the paper counts 10 in one place and 25 in others. The deviations in this table "
             "are the paper's: of the inverse model on the simulated motion, which was not solved; far too small."
         ),
         Table(("", *_RUN), tuple((SYMBOLS[name], *cells) for name, cells in best.items()), by_squares),
-        Paragraph(f"{part.best.fit.simulations} simulations; {part.best.fit.stop}."),
-        *(Paragraph(f"{warning[0].upper()}{warning[1:]}.") for warning in part.best.warnings),
+        Text(f"{part.best.fit.simulations} simulations; {part.best.fit.stop}."),
+        *(Text(f"{warning[0].upper()}{warning[1:]}.") for warning in part.best.warnings),
     ]
 
 
@@ -201,9 +201,9 @@ def _list_variations(run: Reproduction) -> list[Block]:
     idim, didim = run.variations("idim"), run.variations("didim")
     cells: Cells = {name: (number(idim[name], 3), number(didim[name], 3)) for name in idim}
     return [
-        Heading("Table 6: what the added mass changed"),
+        Text("Table 6: what the added mass changed", "heading"),
         compare_table(TABLES[6], ("IDIM", "DIDIM"), cells),
-        Paragraph(
+        Text(
             "The twin's own changes are those from Table 2 to Table 4. Fv1 and Fv2 move against each other with their "
             "sum kept: torque alone does not distinguish them."
         ),
@@ -214,11 +214,11 @@ def _list_relative_errors(run: Reproduction) -> list[Block]:
     ways = [run.relative_errors(denominator) for denominator in DENOMINATORS]
     cells = {name: tuple(number(test[name], 3) for way in ways for test in way) for name in ways[0][0]}
     headings = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in ("first", "second"))
-    return [Heading("Table 7: IDIM against DIDIM"), compare_table(TABLES[7], headings, cells)]
+    return [Text("Table 7: IDIM against DIDIM", "heading"), compare_table(TABLES[7], headings, cells)]
 
 
 def _list_validations(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[Block]:
-    blocks: list[Block] = [Heading("Figures 4 and 5: cross test and direct validation")]
+    blocks: list[Block] = [Text("Figures 4 and 5: cross test and direct validation", "heading")]
     cross = "Figure 4: the loop simulated with IDIM's values, on a run with other pulses"
     direct = "Figure 5: the loop simulated with DIDIM's values, on its own run"
     for name, validation, words in (
@@ -226,7 +226,7 @@ def _list_validations(run: Reproduction, draw: Callable[[Validation], bytes]) ->
     ):  # fmt: skip
         raw, filtered = 100 * validation.relative_error, 100 * validation.filtered_error
         blocks.append(Picture(f"{name}.png", partial(bytes, draw(validation)), words))
-        blocks.append(Paragraph(f"Torque error {raw:.2f} % raw, {filtered:.2f} % filtered."))
+        blocks.append(Text(f"Torque error {raw:.2f} % raw, {filtered:.2f} % filtered."))
     return blocks
 
 
@@ -235,14 +235,14 @@ def _list_checks(run: Reproduction) -> list[Block]:
     assert found is not None
     rows = tuple((SYMBOLS.get(name, name), f"{100 * shift:+.2f}") for name, shift in run.damping_shifts.items())
     return [
-        Heading("The excitation check"),
-        Paragraph(
+        Text("The excitation check", "heading"),
+        Text(
             "The paper gives cond(W) = 30 and does not say of which W. Of this run's IDIM regressor: "
             f"{found.raw:.4g} raw, {found.normalised:.3g} with the columns normalised, {found.scaled:.3g} with the "
             "columns scaled by the parameters."
         ),
-        Heading("The test of F12"),
-        Paragraph(
+        Text("The test of F12", "heading"),
+        Text(
             "The paper takes F12 out of the model and finds that neither residual nor parameters change by 1 %. Here "
             f"the residual grows by {100 * run.damping_residual:.2f} %, and the parameters shift by:"
         ),
@@ -251,13 +251,13 @@ def _list_checks(run: Reproduction) -> list[Block]:
 
 
 def _list_errata() -> list[Block]:
-    blocks: list[Block] = [Heading("What we found in the paper")]
+    blocks: list[Block] = [Text("What we found in the paper", "heading")]
     for i, found in enumerate(ERRATA, 1):
         blocks += [
-            Heading(f"{i}. {found.item}", 3),
-            Paragraph(f"{found.where}. Printed: {found.printed}"),
-            Paragraph(f"Recomputed: {found.recomputed}"),
-            Paragraph(f"jointid: {found.what_we_do}"),
+            Text(f"{i}. {found.item}", "part"),
+            Text(f"{found.where}. Printed: {found.printed}"),
+            Text(f"Recomputed: {found.recomputed}"),
+            Text(f"jointid: {found.what_we_do}"),
         ]
     return blocks
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import LOAD, MEASURED, SIMULATED, panels, styled
-from jointid.common.document import Document, Documented, Facts, Paragraph, Table, common_facts
+from jointid.common.document import Document, Documented, Facts, Table, Text, common_facts
 from jointid.common.files import write_folder
 from jointid.common.text import in_words, join, number
 from jointid.common.transmission import Transmission
@@ -204,7 +204,7 @@ class Design(Documented):
                     ("", *(axis.name or "reached" for axis in self.axes)), tuple(reached),
                     "what the test reaches, of what is allowed", tuple(range(len(self.axes) + 1)),
                 ),
-                Paragraph("Neither obstacles nor the machine's own body are known here: play the test slowly first."),
+                Text("Neither obstacles nor the machine's own body are known here: play the test slowly first."),
                 Facts(tuple(facts)),
             ),
         )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Listing, Table
+from jointid.common.document import Block, Document, Documented, Table, Text
 from jointid.common.text import join, number, pluralise, short, show
 from jointid.records.columns import unit_in_name
 from jointid.records.drives import Place, Profile, Spoken, index_columns, load_profile, place_of, profile_names
@@ -193,7 +193,7 @@ class Inspection(Documented):
         blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
         if not any(channel.time == channel.name for channel in self.channels):
             said.append("No channel is recognised as time; give the joint file a sample_time, or the column's name.")
-        return Document(title, (*blocks, Listing(tuple(said))))
+        return Document(title, (*blocks, Text("\n".join(said), "list")))
 
 
 def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:

@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import LEVEL, MEASURED, SIMULATED, panels, styled
-from jointid.common.document import Block, Document, Documented, Facts, Paragraph, Table, common_facts
+from jointid.common.document import Block, Document, Documented, Facts, Table, Text, common_facts
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
@@ -109,7 +109,7 @@ class Tuned(Documented):
         blocks: list[Block] = [self._tabulate_margins(), *([_tabulate("gain", self.gains)] if self.gains else [])]
         if (notch := self.notch) is not None:
             sizes = number(notch.frequency, 4), number(notch.bandwidth, 4), number(notch.depth, 2)
-            blocks.append(Paragraph("notch of the torque: {} Hz, {} Hz wide, {} left at its centre".format(*sizes)))
+            blocks.append(Text("notch of the torque: {} Hz, {} Hz wide, {} left at its centre".format(*sizes)))
         return tuple(blocks)
 
     @styled

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 import numpy as np
 
 import jointid as ji
-from jointid.common.document import Document, Heading, Table
+from jointid.common.document import Document, Table, Text
 from jointid.output.report import Report
 from tests.mistakes import cut
 
@@ -60,8 +60,8 @@ def marked(report: Report) -> str:
     """Return a report as text: headings behind #, cells of tables between |, all else on a line each."""
     lines = [f"# {report.title}"]
     for block in report.to_document().blocks:
-        if isinstance(block, Heading):
-            lines.append(f"{'#' * block.level} {block.text}")
+        if isinstance(block, Text) and block.style in ("heading", "part"):
+            lines.append(f"{'##' if block.style == 'heading' else '###'} {block.text}")
         elif isinstance(block, Table):
             lines += [f"| {' | '.join(row)} |" for row in (block.header, *block.rows)]
         else:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from jointid.common.document import Block, Document, Facts, Heading, Listing, Table, Verdicts, common_facts
+from jointid.common.document import Block, Document, Facts, Table, Text, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.result.agreement import Alone
 from jointid.estimation.result.verdict import Subject, moved_by_loop, told_bounds
@@ -36,17 +36,18 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
         details: whether to show every answer with all its statements, effort and settings; else only the questions that
             did not pass and can be acted on, a line each, that on the loop first.
     """
-    listed = list[tuple[str, bool | None, tuple[str, ...]]]()
+    listed = list[tuple[str, bool | None, str]]()
     for name, found in groupby(estimate.checks, key=lambda check: check.name):
         first, *others = found
         brief = first.brief + f" (and {len(others)} more in the report)" * bool(others)
-        listed.append((str(name), first.passed, tuple(one.words for one in (first, *others)) if details else (brief,)))
+        listed.append((str(name), first.passed, "\n".join(one.words for one in (first, *others)) if details else brief))
     passed = [good for _, good, _ in listed]
     listed = [row for row in listed if details or not (row[1] or row[0] == Subject.WHITENESS)]
+    listed.sort(key=lambda row: row[0] != Subject.LOOP)
     notes = [] if passed and not details else [("note", note) for note in estimate.notes]
     blocks = (
         *_tables(estimate, details=details),
-        *([Verdicts(tuple(sorted(listed, key=lambda row: row[0] != Subject.LOOP)))] if listed else []),
+        Facts(tuple((asked, said) for asked, _, said in listed), tuple(good for _, good, _ in listed)),
         Facts((*(("warning", warning) for warning in estimate.warnings), *notes)),
         Facts(tuple(_facts(estimate, passed, details=details))),
     )
@@ -95,8 +96,8 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         )
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     if sums := [p for p in rows if p.formula not in ("", p.symbol) and (details or p.name != p.symbol)]:
-        yield Heading("Sums that the parameters stand for")
-        yield Listing(tuple(f"{p.name} is {p.formula}" for p in sums))
+        yield Text("Sums that the parameters stand for", "heading")
+        yield Text("\n".join(f"{p.name} is {p.formula}" for p in sums), "list")
 
 
 def _table(caption: str, *columns: Column) -> Table:

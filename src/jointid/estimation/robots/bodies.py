@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.document import Document, Documented, Facts, Paragraph, Table
+from jointid.common.document import Document, Documented, Facts, Table, Text
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
@@ -252,7 +252,7 @@ class Payload(Documented):
         return Document(
             first,
             (
-                *([Paragraph(said, tone="bad")] if said else []),
+                *([Text(said, style="bad")] if said else []),
                 Table(("", "value, 2 sigma", "unit"), tuple(lines), title, (0, 1, 2)),
                 Facts(tuple(("warning", one) for one in self.warnings)),
             ),

@@ -21,20 +21,7 @@ import numpy as np
 
 from jointid import __version__
 from jointid.common.charts import svg
-from jointid.common.document import (
-    Block,
-    Code,
-    Document,
-    Documented,
-    Facts,
-    Heading,
-    Listing,
-    Paragraph,
-    Picture,
-    Table,
-    Tone,
-    templates,
-)
+from jointid.common.document import Block, Document, Documented, Facts, Picture, Style, Table, Text, templates
 from jointid.common.errors import RecordError
 from jointid.common.files import digest, explain, write_folder
 from jointid.common.parameters import POSITION_UNIT
@@ -62,7 +49,7 @@ def page(document: Document) -> str:
     """Render a document as one HTML page, with reproducible bytes."""
     anchors: dict[int, str] = {}  # of the headings, each name once
     for place, block in enumerate(document.blocks):
-        if isinstance(block, Heading) and block.level == 2:
+        if isinstance(block, Text) and block.style == "heading":
             name = re.sub(r"[^a-z0-9]+", "-", block.text.lower()).strip("-") or "part"
             anchors[place] = name if name not in anchors.values() else f"{name}-{place}"
     contents = [(getattr(document.blocks[place], "text", ""), name) for place, name in anchors.items()]
@@ -133,7 +120,7 @@ def repetition(
     return Repetition(__version__, names, date, known, joint.name, text, command)
 
 
-_TONES: Mapping[Trust, Tone] = {Trust.RELIABLE: "good", Trust.PARTLY: "good", Trust.NOT_CHECKED: "open"}  # else bad
+_TONES: Mapping[Trust, Style] = {Trust.RELIABLE: "good", Trust.PARTLY: "good", Trust.NOT_CHECKED: "open"}  # else bad
 _PICTURES = {
     "torque": (
         "",
@@ -172,43 +159,43 @@ _PICTURES = {
 def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Block]:
     """Yield the whole report: result and appendix."""
     estimate, tuned = given.estimate, given.tuned
-    yield Heading("Result")
+    yield Text("Result", "heading")
     yield from _result(given)
-    torque = Heading("Torque"), _picture(given, figures, "torque")
+    torque = Text("Torque", "heading"), _picture(given, figures, "torque")
     yield from torque if estimate.robot is not None else ()  # whose joints are seen first
-    yield Heading("Parameters")
+    yield Text("Parameters", "heading")
     yield from _part(estimate)
     if tuned is not None:
-        yield Heading("Tuning")
-        yield Paragraph(tuned.sentence)
+        yield Text("Tuning", "heading")
+        yield Text(tuned.sentence)
         yield from tuned.proposal()
     yield from torque if estimate.robot is None else ()
     for check in given.checks:
-        yield Heading(f"Prediction of {check.record}")
+        yield Text(f"Prediction of {check.record}", "heading")
         yield from _part(check)
-    yield Heading("Appendix")
-    yield Heading("The estimate in full")
+    yield Text("Appendix", "heading")
+    yield Text("The estimate in full", "heading")
     yield from _part(estimate, details=True)
     for part, title in ((given.diagnosis, "Controller and log"), (given.validation, "Validation"), (tuned, "Loop")):
         if part is not None:
-            yield Heading(title)
+            yield Text(title, "heading")
             yield from _part(part)
     for name in [name for name in _PICTURES if name in figures and name != "torque"]:
-        yield Heading(_PICTURES[name][0])
+        yield Text(_PICTURES[name][0], "heading")
         yield _picture(given, figures, name)
         if name == "profiles":
-            yield Listing(tuple(map(str, given.profiles)))
+            yield Text("\n".join(map(str, given.profiles)), "list")
     if given.absent:
-        yield Heading("Not available")
-        yield Listing(tuple(map(sentence, given.absent.values())))
-    yield Heading("Settings and data")
+        yield Text("Not available", "heading")
+        yield Text("\n".join(map(sentence, given.absent.values())), "list")
+    yield Text("Settings and data", "heading")
     yield from _settings(given)
 
 
 def _part(result: Documented, *, details: bool = False) -> Iterator[Block]:
     """Yield the blocks of a result's document, its headings a level lower."""
     for block in result.to_document(details=details).blocks:
-        yield replace(block, level=3) if isinstance(block, Heading) else block
+        yield replace(block, style="part") if isinstance(block, Text) and block.style == "heading" else block
 
 
 def draw_figures(given: Report) -> dict[str, Figure]:
@@ -246,21 +233,21 @@ def _picture(given: Report, figures: Mapping[str, Figure], name: str) -> Picture
 def _result(given: Report) -> Iterator[Block]:
     """Yield the answer, its checks and the drawing of a joint."""
     estimate = given.estimate
-    yield Paragraph(str(estimate.answer), tone=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
+    yield Text(str(estimate.answer), style=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
     if given.diagnosis is not None:
-        yield Paragraph(given.diagnosis.sentence)
-    yield from (Paragraph(check.sentence) for check in given.checks)
+        yield Text(given.diagnosis.sentence)
+    yield from (Text(check.sentence) for check in given.checks)
     if not given.checks:
-        yield Paragraph("Whether it predicts another motion is not known yet: --held-out RECORD tests it.")
+        yield Text("Whether it predicts another motion is not known yet: --held-out RECORD tests it.")
     if estimate.robot is None:
         if resonances := resonance_sentence(estimate):
-            yield Paragraph(resonances)
+            yield Text(resonances)
         yield Picture("axis.svg", lambda: svg(axis_figure(estimate), "axis"), "The axis, with 2 sigma", wide=False)
         loop, motion = estimate.settings.loop, given.channels.get("reference")
         declared = [("Controller as declared", _describe_controller(loop))] if loop is not None else []
         yield Facts((*declared, *([("Motion", _describe_motion(motion))] if motion is not None else [])))
     else:
-        yield Paragraph("All numbers are behind the gears.")
+        yield Text("All numbers are behind the gears.")
 
 
 def _describe_controller(loop: ClosedLoop) -> str:
@@ -294,8 +281,8 @@ def _settings(given: Report) -> Iterator[Block]:
     if given.channels:
         yield _channels_table(estimate, given)
     if repetition.command:
-        yield from (Paragraph("The command, with its files beside each other:"), Code(repetition.command))
-        yield from (Paragraph(f"The file {repetition.joint_file_name}:"), Code(repetition.joint_file))
+        yield from (Text("The command, with its files beside each other:"), Text(repetition.command, "code"))
+        yield from (Text(f"The file {repetition.joint_file_name}:"), Text(repetition.joint_file, "code"))
 
 
 def _channels_table(estimate: Estimate, given: Report) -> Table:
