@@ -218,7 +218,7 @@ def judge(seed: int, flexible: bool) -> Found | None:
     refused = tuple[str, ...]()
     try:
         fit = search_robot(made.unknown, made.records)
-        refused = tuple(f"{one.joint}." for one in fit.springs if not one.shown)
+        refused = tuple(f"{name}." for name, least in fit.springs.items() if least is not None)
     except JointidError:
         return Found()
     truth = fit.parameters.group(Numbers.of(made.loop.robot))

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.estimation.robots.didim import RobotFit
 from jointid.models.controllers import PD
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
@@ -218,3 +219,12 @@ def with_springs(numbers: Numbers, factor: float) -> Numbers:
 def stiffness_of(robot: Robot) -> FloatArray:
     """Return the stiffnesses of a robot's springs, (n,); 0 of rigid joints."""
     return np.array([0.0 if joint.spring is None else joint.spring.stiffness for joint in robot.joints])
+
+
+def assert_springs(found: RobotFit, twin: Twin, within: float, deviations: float = np.inf) -> None:
+    """The spring of every flexible joint is shown, within a share of its stiffness and some deviations of it."""
+    truth = stiffness_of(twin.robot)
+    for (name, least), stiffness in zip(found.springs.items(), truth[truth > 0.0], strict=True):
+        value, deviation = found.value(f"{name}.stiffness")
+        assert least is None, name
+        assert abs(value - stiffness) < min(within * stiffness, deviations * deviation), name

@@ -12,7 +12,7 @@ from jointid.simulation.plant import robot_with
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.estimation.robots.twin import identified as identified_robot
-from tests.robots_plants import Twin, six, stiffness_of, two
+from tests.robots_plants import Twin, assert_springs, six, stiffness_of, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
 
 
@@ -51,21 +51,19 @@ def test_a_record_without_noise_settles() -> None:
     found, _ = identified(twin, level=0.0)
     assert found.converged and found.iterations < 30
     assert max(found.relative_error) < 1e-6
-    for spring, truth in zip(found.springs, stiffness_of(twin.robot), strict=True):
-        assert spring.stiffness == pytest.approx(truth, rel=1e-4)
+    assert_springs(found, twin, 1e-4)
 
 
 def test_springs_come_back_with_their_intervals() -> None:
     twin = two((12.0, 18.0))
     found, noise = identified(twin)
-    truth = stiffness_of(twin.robot)
     assert found.converged
     assert found.problem.sigma == pytest.approx(np.std(noise, axis=0) * np.sqrt(2 * 60.0 * 1e-3), rel=0.15)
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.85
-    for spring, stiffness in zip(found.springs, truth, strict=True):
-        assert spring.shown
-        assert spring.deviation < 0.03 * stiffness
-        assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
+    assert_springs(found, twin, 0.09, 3.0)
+    for name in found.springs:
+        stiffness, deviation = found.value(f"{name}.stiffness")
+        assert deviation < 0.03 * stiffness
     again = simulate(
         RobotLoop(robot_with(twin.robot, found.problem.numbers(found.x)), twin.loop().controllers),
         twin.records(6.0, multisine=0.004),
@@ -76,9 +74,7 @@ def test_springs_come_back_with_their_intervals() -> None:
 def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
     twin = two((12.0, None))
     found, _ = identified(twin, frequencies={"joint1": 15.0})
-    (spring,) = found.springs
-    assert spring.shown
-    assert spring.stiffness == pytest.approx(stiffness_of(twin.robot)[0], rel=0.01)
+    assert_springs(found, twin, 0.01)
     assert "joint2.stiffness" not in found.parameters.names
 
 
@@ -86,8 +82,7 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
 def test_springs_behind_friction_that_rises_towards_standstill() -> None:
     twin = changed(two((12.0, 18.0)), *RISING)
     found, _ = identified(twin)
-    for spring, stiffness in zip(found.springs, stiffness_of(twin.robot), strict=True):
-        assert spring.stiffness == pytest.approx(stiffness, rel=0.02)
+    assert_springs(found, twin, 0.02)
     for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
         value, deviation = found.value(f"{joint}.stribeck_force")
         assert abs(value - rise) < 3 * deviation < 0.5 * rise
@@ -101,9 +96,7 @@ def test_springs_behind_friction_that_rises_towards_standstill() -> None:
 def test_springs_of_motors_that_are_coupled() -> None:
     twin = changed(two((12.0, 18.0)), *COUPLED)
     found, _ = identified(twin, frequencies={"joint1": 14.0, "joint2": 16.0})
-    truth = stiffness_of(twin.robot)
-    for spring, stiffness in zip(found.springs, truth, strict=True):
-        assert spring.stiffness == pytest.approx(stiffness, rel=0.05)
+    assert_springs(found, twin, 0.05)
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.85
 
 
@@ -113,10 +106,9 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     twin = two((12.0, 110.0))
     found, _ = identified(twin, frequencies={"joint1": 14.0, "joint2": 40.0})
     truth = stiffness_of(twin.robot)
-    soft, stiff = found.springs
-    assert soft.shown
-    assert not stiff.shown
-    assert 0.03 * truth[1] < stiff.at_least < truth[1]
+    soft, stiff = found.springs.values()
+    assert soft is None
+    assert stiff is not None and 0.03 * truth[1] < stiff < truth[1]
 
 
 @pytest.mark.slow
@@ -139,8 +131,6 @@ def test_a_rigid_robot_is_told_soon() -> None:
 def test_six_flexible_joints() -> None:
     twin = six(True)
     found, _ = identified(twin, duration=6.0)
-    truth = stiffness_of(twin.robot)
     assert found.converged
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.9
-    for spring, stiffness in zip(found.springs, truth, strict=True):
-        assert spring.stiffness == pytest.approx(stiffness, rel=0.06)
+    assert_springs(found, twin, 0.06)

@@ -15,7 +15,7 @@ from jointid.simulation.simulate import run_loop
 from jointid.simulation.start import begin
 from tests.estimation.robots.test_rigid_robots import deviations
 from tests.robots_mujoco import simulate_by_mujoco
-from tests.robots_plants import Twin, six, stiffness_of, two
+from tests.robots_plants import Twin, assert_springs, six, two
 
 
 def moved(twin: Twin, records: tuple[Record, ...], step: float = 1e-4) -> tuple[FloatArray, FloatArray]:
@@ -62,8 +62,7 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
     off = np.abs(deviations(found, twin))
     assert np.max(off) < 3.5  # of one draw of the noise, whose errors go together
     assert np.mean(off < 2) > 0.75
-    for spring, stiffness in zip(found.springs, stiffness_of(twin.robot), strict=True):
-        assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
+    assert_springs(found, twin, 0.1, 3.0)
 
 
 @pytest.mark.slow

@@ -158,7 +158,11 @@ class IDIM(Method):
             found = replace(parameters, parameters=solved.fix(parameters.parameters))
             part = IdentifiedRobot(loop or robot, found, solved.values)
             nominal = solved.rows.relative_errors(found.group(nominal_numbers(robot, part.numbers())))
-            return {"rows": rows_of_robot(part, solved.covariance.std, solved.held), "robot": part, "nominal": nominal}
+            return {
+                "rows": rows_of_robot(part, solved.covariance.std, solved.held, {}),
+                "robot": part,
+                "nominal": nominal,
+            }
 
         inverse = inverse_of_robot(robot, parameters)
         return self._regress(inverse, loop, logs, filtering, known, state, warnings)
@@ -242,7 +246,7 @@ def simulate_columns(
         MethodError: controllers or logs share no clock.
     """
     bounds, of_joint = Bounds.of(inverse.parameters), isinstance(loop, ClosedLoop)
-    experiments = [prepare(loop, log[0] if of_joint else log) for log in logs]
+    experiments = [prepare(loop, log) for log in logs]
 
     def instruments(values: FloatArray) -> FloatArray:
         numbers, each = inverse.numbers(bounds.clip(values)), list[FloatArray]()

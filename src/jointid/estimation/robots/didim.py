@@ -80,24 +80,6 @@ _NONE = 1e-9  # N m: bounds of a torque that nothing tells
 _ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
 
 
-@dataclass(frozen=True, slots=True)
-class SpringVerdict:
-    """Whether the records show the spring of a robot's joint.
-
-    Attributes:
-        joint: its name.
-        shown: whether it is shown; else stiffness and deviation are invalid.
-        stiffness: N m/rad or N/m. deviation: of it, one standard deviation.
-        at_least: lower bound of the stiffness, two standard deviations of its compliance away.
-    """
-
-    joint: str
-    shown: bool
-    stiffness: float
-    deviation: float
-    at_least: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFit:
     """The fit of a robot to the records of its joints.
@@ -111,8 +93,8 @@ class RobotFit:
         relative_error: (n,) of the filtered torques, a share each.
         iterations: their number.
         converged: whether the search settled.
-        springs: a verdict for each flexible joint; the intervals of a refused one, and of its joint's two sides, are
-            invalid.
+        springs: of each flexible joint by name, None if the records show its spring, else a lower bound of its
+            stiffness; the intervals of that one, and of its joint's two sides, are invalid.
     """
 
     problem: Simulated
@@ -123,7 +105,7 @@ class RobotFit:
     relative_error: FloatArray
     iterations: int
     converged: bool
-    springs: tuple[SpringVerdict, ...] = ()
+    springs: Mapping[str, float | None]
 
     @property
     def parameters(self) -> RobotParameters:
@@ -185,10 +167,11 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
     return RobotFit(problem, x, runs, J, covariance, left, made, end.solution.status.converged, springs)
 
 
-def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: float) -> tuple[SpringVerdict, ...]:
-    """Judge whether the records show the spring of each flexible joint.
+def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: float) -> dict[str, float | None]:
+    """Judge whether the records show the spring of each flexible joint, see `RobotFit`.
 
-    A spring is shown if its stiffness is off its bound and its relative deviation, like the compliance's, is small.
+    A spring is shown if its stiffness is off its bound and its relative deviation, like the compliance's, is small. Else
+    the stiffness is at least that of two standard deviations more of its compliance.
 
     Args:
         problem: of the robot.
@@ -196,14 +179,13 @@ def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: flo
         std: (free,) its deviations.
         most: largest relative deviation of a stiffness.
     """
-    found = list[SpringVerdict]()
+    found = dict[str, float | None]()
     for parameter, place, value, share in zip(problem.free, problem.keys, x, std, strict=True):
         if place.name == "stiffness":
-            joint, stiffness = parameter.name.rpartition(".")[0], math.exp(value)
             shown = 0.0 < share < most and value < parameter.upper - 1e-3  # off its bound
-            least = stiffness / (1.0 + INTERVAL * share)
-            found.append(SpringVerdict(joint, shown, stiffness, stiffness * float(share), least))
-    return tuple(found)
+            least = math.exp(value) / (1.0 + INTERVAL * float(share))
+            found[parameter.name.rpartition(".")[0]] = None if shown else least
+    return found
 
 
 def linearise_again(end: Solved) -> tuple[FloatArray, FloatArray]:
@@ -319,7 +301,7 @@ class _Search:
         rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW)
         problem = problem.reweight(problem.error(rigid.runs), rigid.x.size)
         found = self.find_springs_from(problem, problem.roughly(), rigid)
-        if self.along and problem.roughly() is not problem and not any(one.shown for one in found.springs):
+        if self.along and problem.roughly() is not problem and None not in found.springs.values():
             self.history.progress("no spring is seen by the beginning of the record; searching along all of it")
             found = self.find_springs_from(problem, problem, rigid)
         return found
@@ -352,7 +334,7 @@ class _Search:
         if lost:  # no better than without springs: one that has none, or high modes, is found from stiff ones
             end = begin(start.stiff)
         known = white(end.solution.jacobian, end.solution.residual)
-        hopeful = any(one.shown for one in _judge_springs(end.problem, end.x, known.std, 1.0 / INTERVAL))
+        hopeful = None in _judge_springs(end.problem, end.x, known.std, 1.0 / INTERVAL).values()
         if not hopeful or (lost and end.norm > without):  # a longer search would find none
             with suppress(MethodError):
                 seen = _go_on(replace(problem, sigma=rough.sigma), end, _CLOSE, history, evaluations=1)

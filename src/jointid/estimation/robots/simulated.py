@@ -23,7 +23,7 @@ from jointid.estimation.result.estimate import (
     build_estimate,
     find_active_bounds,
 )
-from jointid.estimation.robots.didim import RobotFit, SpringVerdict, conclude, search_robot
+from jointid.estimation.robots.didim import RobotFit, conclude, search_robot
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -140,7 +140,8 @@ def identify_simulated_robot(
     held = find_active_bounds(parameters.free, fit.values[: len(fit.x)], fit.problem.error(fit.runs), fit.slopes)
     verdicts = {p.name for p, scaled in zip(parameters.parameters, parameters.logarithmic, strict=True) if scaled}
     held = {name: bound for name, bound in held.items() if name not in verdicts}
-    hidden, std = [one for one in fit.springs if not one.shown], fit.covariance.append_constants(fixed).std
+    hidden = {name: least for name, least in fit.springs.items() if least is not None}
+    std = fit.covariance.append_constants(fixed).std
     result = build_estimate(
         records, rows_of_robot(part, std, held, hidden), fit.covariance.correlation,
         (problem.measured, problem.predict(fit.runs)), fit.relative_error, problem.filtered_torque.size,
@@ -164,14 +165,15 @@ def rows_of_robot(
     part: IdentifiedRobot,
     std: FloatArray,
     held: Mapping[str, float],
-    hidden: Sequence[SpringVerdict] = (),
+    hidden: Mapping[str, float],
 ) -> tuple[EstimatedParameter, ...]:
     """Rows of the parameters; a hidden spring has at most a bound.
 
-    Standard deviations are (parameters,); `held` has the active bounds by name. Nominal values are declared.
+    Standard deviations are (parameters,); `held` has the active bounds by name, `hidden` lower bounds of stiffnesses by
+    joint. Nominal values are declared.
     """
-    refused: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in hidden}
-    refused |= {f"{one.joint}.damping": None for one in hidden}
+    refused: dict[str, float | None] = {f"{joint}.stiffness": least for joint, least in hidden.items()}
+    refused |= {f"{joint}.damping": None for joint in hidden}
     robot, parameters, rows = part.model, part.parameters, list[EstimatedParameter]()
     nominal = parameters.group(Numbers.of(robot))
     described = zip(parameters.parameters, parameters.places, parameters.units(robot), strict=True)
