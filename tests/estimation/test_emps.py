@@ -31,7 +31,7 @@ def test_idim_repeats_the_published_results_to_every_digit(emps: Record, emps_pu
     expected = {"inertia": 95.1089, "viscous": 203.5034, "coulomb": 20.3935, "offset": -3.1648}
     assert rounded(estimate, digits) == expected
     assert round(100 * estimate.fit.filtered_error, 4) == 4.0834
-    assert round(estimate.fit.conditioning.raw, 4) == 25.9883
+    assert round(estimate.fit.conditioning["raw"], 4) == 25.9883
     cross = validate(estimate, emps_pulses)
     assert cross.test == "cross"
     assert round(100 * cross.filtered_error, 4) == 5.9824

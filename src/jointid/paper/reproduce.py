@@ -238,7 +238,7 @@ def _list_checks(run: Reproduction) -> list[Block]:
         Text("The excitation check", "heading"),
         Text(
             "The paper gives cond(W) = 30 and does not say of which W. Of this run's IDIM regressor: "
-            f"{found.raw:.4g} raw, {found.normalised:.3g} with the columns normalised, {found.scaled:.3g} with the "
+            f"{found['raw']:.4g} raw, {found['normalised']:.3g} with the columns normalised, {found['scaled']:.3g} with the "
             "columns scaled by the parameters."
         ),
         Text("The test of F12", "heading"),

@@ -167,26 +167,16 @@ def find_unseen(J: FloatArray) -> FloatArray:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
-@dataclass(frozen=True, slots=True)
-class Conditioning:
-    """The condition number of a regressor, by three definitions.
+def conditioning(W: FloatArray, values: FloatArray) -> dict[str, float]:
+    """Return the condition numbers of a regressor, (rows, parameters), at estimates, (parameters,).
 
-    Attributes:
-        raw: of the columns as they are; depends on the units.
-        normalised: of the columns divided by their norms.
-        scaled: of the columns multiplied by the estimates: what each parameter contributes to the torque.
+    They are of the "raw" columns, where they depend on the units; of columns "normalised" to norm 1; and of columns
+    "scaled" by the estimates, which are what each parameter contributes to the torque.
     """
-
-    raw: float
-    normalised: float
-    scaled: float
-
-
-def conditioning(W: FloatArray, values: FloatArray) -> Conditioning:
-    """Return the condition numbers of a regressor, (rows, parameters), at estimates, (parameters,)."""
     norms = np.linalg.norm(W, axis=0)
     R, scale = np.asarray(np.linalg.qr(W / norms, mode="r")), np.where(values == 0.0, 1.0, np.abs(values))
-    return Conditioning(*(float(np.linalg.cond(R * by)) for by in (norms, 1.0, norms * scale)))
+    factors = {"raw": norms, "normalised": 1.0, "scaled": norms * scale}
+    return {name: float(np.linalg.cond(R * by)) for name, by in factors.items()}
 
 
 def find_separable(J: FloatArray) -> NDArray[np.bool_]:

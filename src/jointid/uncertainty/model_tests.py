@@ -40,6 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.uncertainty.covariance import (
     INTERVAL,
@@ -133,36 +134,6 @@ def fit_whitener(residual: FloatArray) -> Filter:
     return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
 
 
-@dataclass(frozen=True, slots=True)
-class BoundaryTest:
-    """Test of whether a record requires the flexible model.
-
-    Attributes:
-        statistic: reduction of the sum of squares by the extra direction, over the variance of the remainder.
-        p_value: probability of as large a statistic under the rigid model.
-        over: blocks of the drawn signs, of "time" or of "place".
-        gained: relative reduction of the sum of squares.
-    """
-
-    statistic: float
-    p_value: float
-    over: str
-    gained: float
-
-    @property
-    def significant(self) -> bool:
-        """True if the record requires the flexible model, at 1 %."""
-        return self.p_value <= 0.01  # a smaller p-value of a rigid joint says that it is flexible
-
-    def __str__(self) -> str:
-        """Return the verdict in a sentence."""
-        verdict = "asks for" if self.significant else "does not ask for"
-        return (
-            f"the record {verdict} the flexible model: it takes {100 * self.gained:.2g} % off the sum of squares "
-            f"(statistic {number(self.statistic, 3)}, p = {self.p_value:.2g} by the residual's signs over {self.over})"
-        )
-
-
 def flexible_against_rigid(
     residual: FloatArray,
     J: FloatArray,
@@ -171,8 +142,12 @@ def flexible_against_rigid(
     fitted: float | None = None,
     *,
     draws: int = 1999,
-) -> BoundaryTest:
+) -> Message:
     """Test whether a non-negative extra direction explains more than chance.
+
+    The code says whether the record asks for the "flexible" model, at 1 %, or the "rigid" one will do. The values are
+    the ``statistic``, the reduction of the sum of squares over the variance of the remainder; the ``p_value``; and what
+    the sum of squares ``gained``, as a share.
 
     Args:
         residual: (rows,) of the rigid fit, in the order of time.
@@ -203,7 +178,15 @@ def flexible_against_rigid(
         drawn = _draw_statistics(whole.residual_left_out(block), block, Q, beside, degrees, draws)
         p_values[over] = float(1 + np.sum(drawn >= statistic)) / (draws + 1)
     least_certain = max(p_values, key=lambda over: p_values[over])
-    return BoundaryTest(statistic, p_values[least_certain], least_certain, found / rigid if rigid > 0 else 0.0)
+    p_value, gained = p_values[least_certain], found / rigid if rigid > 0 else 0.0
+    flexible = p_value <= 0.01  # a smaller p-value of a rigid joint says that it is flexible
+    words = (
+        f"the record {'asks' if flexible else 'does not ask'} for the flexible model: it takes {100 * gained:.2g} % off "
+        f"the sum of squares (statistic {number(statistic, 3)}, p = {p_value:.2g} by the residual's signs over "
+        f"{least_certain})"
+    )
+    values = {"statistic": statistic, "p_value": p_value, "gained": gained}
+    return Message("flexible" if flexible else "rigid", words, values)
 
 
 def _draw_statistics(

@@ -27,7 +27,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Resampled, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import INTERVAL, Covariance
-from jointid.uncertainty.identifiability import Conditioning, Identifiability
+from jointid.uncertainty.identifiability import Identifiability
 
 if TYPE_CHECKING:
     import jointid
@@ -106,7 +106,7 @@ class Fit:
         rows: filtered samples that were fitted.
         simulations: of the search, with or without derivatives.
         stop: why the search ended, in a sentence; converged: whether that is a good end.
-        conditioning: of the regressor, for a linear regression.
+        conditioning: of a regressor, by name, see `conditioning`; None without a linear regression.
         passes: over the whole of a long log.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
         nominal_errors: the same of the nominal robot, with the friction of the estimate; infinite if it cannot be
@@ -121,7 +121,7 @@ class Fit:
     simulations: int
     stop: str
     converged: bool
-    conditioning: Conditioning | None = None
+    conditioning: Mapping[str, float] | None = None
     passes: int = 0
     axis_errors: Mapping[str, float] = field(default_factory=dict)
     nominal_errors: Mapping[str, float] = field(default_factory=dict)

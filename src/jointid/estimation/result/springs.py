@@ -36,7 +36,7 @@ from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
 from jointid.estimation.spring_search import DAMPED, FASTEST, crossover, divide, frequency_of
-from jointid.models.joints import FlexibleJoint, of_whole, split_by_mode
+from jointid.models.joints import of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import Numbers
 from jointid.solvers.solve import LevenbergMarquardt, Solution, damped_step, solve
@@ -91,8 +91,7 @@ class Visibility:
         joint, rows = estimate.settings.joint, list[EstimatedParameter]()
         if self.shown:
             return replace(estimate, checks=(*estimate.checks, *self.checks))
-        assert isinstance(joint, FlexibleJoint)
-        parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
+        parted = ("motor_", "load_", *(p.name for law in joint.springs for p in law.parameters))
         for p in estimate.rows:
             own = p
             if p.free and p.name in self.std:  # of both joints: a spring that is not shown narrows no interval
@@ -141,11 +140,11 @@ def visible(
         # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
         fitted = left if left < 0.5 * float(error @ error) else None
         test = flexible_against_rigid(error, slopes, springs, where, fitted)
-        if test.significant and test.gained < 0.3:  # it may be another one
+        if test.code == "flexible" and test.values["gained"] < 0.3:  # it may be another one
             made = profile_modes(linear, values, found, thorough=True)
             std = dict(zip([p.name for p in problem.free], known.covariance.std.tolist(), strict=True))
             reasons = _other_spring(made, found["stiffness"], std.get("stiffness", 0.0))
-        if test.significant and not reasons:
+        if test.code == "flexible" and not reasons:
             return Visibility(springs_checks((), str(test)))
         reasons = reasons or [str(test)]
     progress("the record does not show the spring; looking how soft it may be")
@@ -165,9 +164,7 @@ def visible(
 
 def fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple[ClosedLoopProblem, Solution]:
     """Rigid problem on the same band, and its solution."""
-    flexible = problem.joint
-    assert isinstance(flexible, FlexibleJoint)
-    joint = flexible.rigid
+    joint = problem.joint.rigid
     rigid = problem.with_joint(joint, joint.parameters)
     start = {p.name: values[p.name] for p in problem.around}
     start |= {p.name: of_whole(p, values) for p in joint.parameters}
