@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
@@ -65,14 +65,9 @@ def panels(
     """
     from matplotlib.figure import Figure
 
-    class ShownFigure(Figure):
-        """A figure that notebooks display without pyplot."""
-
-        def _repr_png_(self) -> bytes:
-            return render(self, "png", dpi=100)
-
     rows = [max(heights[i : i + columns]) for i in range(0, len(heights), columns)] or [170]
-    figure = ShownFigure(figsize=(width, sum(rows) / 100.0))  # pixels of a panel's height
+    figure: Any = Figure(figsize=(width, sum(rows) / 100.0))  # pixels of a panel's height
+    figure._repr_png_ = partial(render, figure, "png", dpi=100)  # notebooks display it without pyplot
     grid = figure.subplots(len(rows), columns, squeeze=False, height_ratios=rows, sharex="col" if share_x else False)
     if title:
         figure.suptitle(title)

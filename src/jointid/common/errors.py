@@ -62,10 +62,6 @@ class MethodError(JointidError):
     """The record, joint or controller lacks what a method needs."""
 
 
-class ExtraError(JointidError):
-    """A missing optional package; the message names the extra."""
-
-
 def extra(module: str, name: str, purpose: str) -> Any:
     """Import a module of an optional package.
 
@@ -78,6 +74,6 @@ def extra(module: str, name: str, purpose: str) -> Any:
         return import_module(module)
     except ImportError as error:
         package = module.partition(".")[0]
-        raise ExtraError(
+        raise JointidError(
             f'{purpose} needs the package {package}, which is not there; install it: pip install "jointid[{name}]".'
         ) from error

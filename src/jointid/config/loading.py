@@ -62,7 +62,7 @@ def load(path: str | os.PathLike[str], changes: Iterable[str] = (), *, axis: str
         JointFileError: the file, or a robot's model, cannot be read, is no TOML, or has faults;
             `faults` has a sentence for each.
         MethodError: the robot has no such joint.
-        ExtraError: MuJoCo, which reads the model of a robot, is not installed.
+        JointidError: MuJoCo, which reads the model of a robot, is not installed.
     """
     return _load(toml.read_text(Path(path)), Path(path), changes, axis=axis)
 

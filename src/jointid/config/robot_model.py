@@ -87,7 +87,7 @@ def load_robot(path: str | Path, locked: Mapping[str, float] = MappingProxyType(
 
     Raises:
         JointFileError: the file cannot be read, or is no tree of independent hinge and slide joints.
-        ExtraError: MuJoCo is not installed.
+        JointidError: MuJoCo is not installed.
     """
     return read_robot(read_text(Path(path), LARGEST), Path(path).name, locked)[0]
 

@@ -83,7 +83,7 @@ def state_space(
 
     Raises:
         MethodError: a value is refused, no joint can have it, there is no such side, or a time is out of range.
-        ExtraError: python-control is not there.
+        JointidError: python-control is not there.
     """
     control = extra("control", "models", "A state space")
     part = linear_part(JointModel.of(estimate, "joint").on(side), period, delay)
