@@ -102,7 +102,7 @@ class Setting:
         if self.choices:
             return isinstance(value, str) and value in self.choices
         if self.type is bool:
-            return isinstance(value, bool)
+            return type(value) is bool
         if self.type in (int, float):
             kind = Integral if self.type is int else Real
             return isinstance(value, kind) and not isinstance(value, bool) and self._within(value)

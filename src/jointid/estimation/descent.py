@@ -25,7 +25,7 @@ from jointid.common.text import number, pluralise
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import REFERENCE
 from jointid.models.friction import PARTS, MotionSize
-from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.joints import Joint
 from jointid.models.springs import Spring
 from jointid.simulation.simulate import Run, motion_at
 from jointid.simulation.start import wound_up
@@ -243,8 +243,7 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """The same joint's problem with a linear spring."""
-    joint = problem.joint
-    assert isinstance(joint, FlexibleJoint)
+    joint: Any = problem.joint
     return problem if joint.spring.linear else problem.with_joint(replace(joint, spring=Spring()))
 
 
@@ -281,14 +280,15 @@ def law_starts(
     frictions: list[dict[str, float]] = [{}]
     clock, sides = run.experiment.clock, run.numbers.rows[axis]
     positions, velocities = (moved[:, sides] for moved in motion_at(run, clock.log_index)[:2])
-    if isinstance(joint, FlexibleJoint) and isinstance(linear, FlexibleJoint) and joint.spring != linear.spring:
+    if joint.springs != linear.springs:
+        (law,) = joint.springs
         windup = float(np.max(np.abs(positions[:, 0] - positions[:, 1])))
         if not (values["stiffness"] > 0.0 and windup > 0.0):
             raise MethodError(
-                f"A {joint.spring.name} spring is searched from a linear one, and the record shows none; identify "
+                f"A {law.name} spring is searched from a linear one, and the record shows none; identify "
                 'the joint with spring = "linear", or as rigid.'
             )
-        springs = list(joint.spring.starts(values, windup))
+        springs = list(law.starts(values, windup))
     if joint.friction != linear.friction:
         by_side = []
         for prefix, position, velocity in zip(joint.sides, positions.T, velocities.T, strict=True):

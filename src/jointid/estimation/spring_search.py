@@ -212,7 +212,7 @@ def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
     """Problem of a task with a rigid joint and linear laws."""
     assert task.loop is not None
     joint = task.loop.joint
-    joint = (joint.rigid if isinstance(joint, FlexibleJoint) else joint).linear
+    joint = (joint.rigid if joint.springs else joint).linear
     problem = torque_problem(task.record, replace(task.loop, joint=joint), Filtering(cutoff=cutoff), joint.parameters)
     law, at = problem.axis.law, _FASTEST_LOOP / problem.axis.law.period
     least = float(np.abs(law.feedback(np.array([at])))[0]) / (2 * math.pi * at) ** 2

@@ -165,6 +165,7 @@ class Inverse:
         parameters: of the columns.
         columns: of a motion, (samples, equations, parameters), not filtered.
         numbers: from values, (parameters,), to what simulates them.
+        driven: how many equations, the first, have the torque of a motor.
         delay: seconds from the output of a joint's controller to the torque that acts.
     """
 
@@ -172,17 +173,13 @@ class Inverse:
     parameters: tuple[Parameter, ...]
     columns: Callable[[MeasuredMotion], FloatArray]
     numbers: Callable[[FloatArray], Numbers]
+    driven: int = 1
     delay: float = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
-
-    @property
-    def driven(self) -> int:
-        """How many equations, the first, have the torque of a motor."""
-        return len(self.system) if isinstance(self.system, Robot) else 1
 
     def measure(self, records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
         """Return the motion of a log; see `measure_motion`."""
@@ -329,7 +326,7 @@ def inverse_of_joint(joint: Joint, delay: float = 0.0, parameters: tuple[Paramet
     def numbers(values: FloatArray) -> Numbers:
         return Numbers.of_joint(joint, {p.name: float(value) for p, value in zip(own, values, strict=False)})
 
-    return Inverse(joint, (*own, ENCODER_OFFSET) if joint.model == "flexible" else own, columns, numbers, delay)
+    return Inverse(joint, (*own, ENCODER_OFFSET) if joint.model == "flexible" else own, columns, numbers, delay=delay)
 
 
 def _late(record: Record, delay: float, period: float) -> float:
@@ -388,7 +385,7 @@ def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
     def columns(motion: MeasuredMotion) -> FloatArray:
         return parameters.columns(robot, motion.q, motion.v, motion.a)
 
-    return Inverse(robot, parameters.parameters, columns, parameters.numbers)
+    return Inverse(robot, parameters.parameters, columns, parameters.numbers, len(robot))
 
 
 # From records to a motion

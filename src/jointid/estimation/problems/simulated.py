@@ -768,7 +768,7 @@ def pose_robot(
             throughout, the delay is none, or one of several logs begins in motion.
     """
     logs = each_log(records)
-    robot = setup if isinstance(setup, Robot) else setup.robot
+    robot = setup.robot
     model = "flexible" if any(robot.flexible) else "rigid"
     if isinstance(setup, RobotLoop):
         moved = [loop_log(setup, log, model, filtering) for log in logs]
@@ -808,7 +808,7 @@ def loop_log(
     loops = [loop] if isinstance(loop, ClosedLoop) else loop.loops
     for one, record in zip(loops, records, strict=False):
         record.require(one.channels, "DIDIM")
-    experiment = prepare(loop, records[0] if isinstance(loop, ClosedLoop) else records)
+    experiment = prepare(loop, records)
     samples, sample_time = experiment.clock.samples, experiment.clock.sample_time
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
     seen = tuple(map(seen_position, records, loops))
