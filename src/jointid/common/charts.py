@@ -23,7 +23,6 @@ LOAD = "#009E73"
 OTHERS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#000000", "#777777")
 LEVEL: dict[str, Any] = {"color": "0.35", "linewidth": 0.8, "linestyle": "--"}
 """Style of a line that marks a value of an axis."""
-BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0}  # of the area between two lines
 
 _STYLE = Path(__file__).with_name("charts.mplstyle")
 _METADATA = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}}

@@ -54,11 +54,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Pairs of a name and a value, or of a question and its reasons, a line each.
-
-    Attributes:
-        marks: of questions, whether the answer is yes, no or not known; empty for other pairs.
-    """
+    """Pairs of a name and a value; `marks` answer those of questions."""
 
     pairs: tuple[tuple[str, str], ...]
     marks: tuple[bool | None, ...] = ()

@@ -9,7 +9,6 @@ from enum import StrEnum
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.units import Kind
@@ -108,11 +107,26 @@ class Bounds:
         """Return the nearest point within the bounds."""
         return np.minimum(np.maximum(x, self.lower), self.upper)
 
-    def find_blocking(self, x: FloatArray, step: FloatArray) -> NDArray[np.bool_]:
-        """Test which parameters are at a bound and step outwards."""
-        return np.asarray(((x <= self.lower) & (step < 0)) | ((x >= self.upper) & (step > 0)))
-
     def shift_to(self, x: FloatArray, reach: FloatArray | None = None) -> Bounds:
         """Bounds on a step from a point, no longer than `reach`."""
         longest = math.inf if reach is None else reach
         return Bounds(np.maximum(self.lower - x, -longest), np.minimum(self.upper - x, longest))
+
+
+def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> dict[str, float]:
+    """Return the bounds that hold free parameters, by name.
+
+    A descent ends a little inside of a bound. The tolerance is a millionth of the value, or, since a bound may be 0, of
+    the change that would move the residual by all of its size, if that is more.
+
+    Args:
+        free: the parameters.
+        x: (free,) their values.
+        error: (rows,) residual there.
+        J: (rows, free) its derivatives, of either sign.
+    """
+    norms = np.linalg.norm(J, axis=0)
+    size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
+    bounds, near = Bounds.of(free), 1e-6 * size  # of a parameter's size: how near to a bound is at it
+    held = {p.name: p.upper for p, at in zip(free, x >= bounds.upper - near, strict=True) if at}
+    return held | {p.name: p.lower for p, at in zip(free, x <= bounds.lower + near, strict=True) if at}

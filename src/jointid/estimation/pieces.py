@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Detail, Progress, follow
-from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.parameters import Bounds, Parameter, Quantity, find_active_bounds
 from jointid.common.text import join
 from jointid.estimation.parameters import adjust_parameters, of_law
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position
@@ -46,7 +46,6 @@ from jointid.estimation.result.estimate import (
     Windows,
     build_estimate,
     build_rows,
-    find_active_bounds,
     rows_of_problem,
     warn_of_limit,
 )

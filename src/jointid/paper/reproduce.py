@@ -238,8 +238,8 @@ def _list_checks(run: Reproduction) -> list[Block]:
         Text("The excitation check", "heading"),
         Text(
             "The paper gives cond(W) = 30 and does not say of which W. Of this run's IDIM regressor: "
-            f"{found['raw']:.4g} raw, {found['normalised']:.3g} with the columns normalised, {found['scaled']:.3g} with the "
-            "columns scaled by the parameters."
+            "{raw:.4g} raw, {normalised:.3g} with the columns normalised, {scaled:.3g} with the columns scaled by the "
+            "parameters.".format(**found)
         ),
         Text("The test of F12", "heading"),
         Text(

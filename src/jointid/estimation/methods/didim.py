@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.errors import MethodError
+from jointid.common.parameters import find_active_bounds
 from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.common.text import join
 from jointid.estimation.descent import (
@@ -40,14 +41,7 @@ from jointid.estimation.force_in_loop import widen_for_force
 from jointid.estimation.methods import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, Method, Task
 from jointid.estimation.parameters import DELAYS, INITIAL_STATE
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, require_free, torque_problem
-from jointid.estimation.result.estimate import (
-    Estimate,
-    Settings,
-    build_estimate,
-    find_active_bounds,
-    rows_of_problem,
-    warn_of_limit,
-)
+from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem, warn_of_limit
 from jointid.estimation.result.springs import visible
 from jointid.estimation.result.verdict import residual_checks
 from jointid.estimation.rigid_starts import rigid_starts

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.parameters import Bounds, Parameter
+from jointid.common.parameters import Parameter, find_active_bounds
 from jointid.common.text import interval, join, number
 from jointid.estimation.methods import method_of
 from jointid.estimation.result.agreement import Agreement
@@ -589,25 +589,6 @@ def build_estimate(
     )
     kept: dict[str, Any] = {"warnings": tuple(warnings), "records": () if robot is None else tuple(records)}
     return Estimate(rows, correlation, fit, data, settings, robot=robot, **kept, **found)
-
-
-def find_active_bounds(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> dict[str, float]:
-    """Return the bounds that hold free parameters, by name.
-
-    A descent ends a little inside of a bound. The tolerance is a millionth of the value, or, since a bound may be 0, of
-    the change that would move the residual by all of its size, if that is more.
-
-    Args:
-        free: the parameters.
-        x: (free,) their values.
-        error: (rows,) residual there.
-        J: (rows, free) its derivatives, of either sign.
-    """
-    norms = np.linalg.norm(J, axis=0)
-    size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
-    bounds, near = Bounds.of(free), 1e-6 * size  # of a parameter's size: how near to a bound is at it
-    held = {p.name: p.upper for p, at in zip(free, x >= bounds.upper - near, strict=True) if at}
-    return held | {p.name: p.lower for p, at in zip(free, x <= bounds.lower + near, strict=True) if at}
 
 
 def warn_of_limit(share: float) -> tuple[str, ...]:

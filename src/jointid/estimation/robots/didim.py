@@ -170,8 +170,8 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
 def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: float) -> dict[str, float | None]:
     """Judge whether the records show the spring of each flexible joint, see `RobotFit`.
 
-    A spring is shown if its stiffness is off its bound and its relative deviation, like the compliance's, is small. Else
-    the stiffness is at least that of two standard deviations more of its compliance.
+    A spring is shown if its stiffness is off its bound and its relative deviation, like the compliance's, is small.
+    Else the stiffness is at least that of two standard deviations more of its compliance.
 
     Args:
         problem: of the robot.

@@ -10,19 +10,13 @@ from itertools import chain
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Progress
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Parameter, find_active_bounds
 from jointid.estimation.descent import Solved
 from jointid.estimation.methods import Method
 from jointid.estimation.parameters import RobotParameters, begin_delays, robot_parameters, with_delays
 from jointid.estimation.problems.inverse_model import require_one_log
 from jointid.estimation.problems.simulated import pose_robot
-from jointid.estimation.result.estimate import (
-    Estimate,
-    EstimatedParameter,
-    Settings,
-    build_estimate,
-    find_active_bounds,
-)
+from jointid.estimation.result.estimate import Estimate, EstimatedParameter, Settings, build_estimate
 from jointid.estimation.robots.didim import RobotFit, conclude, search_robot
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
