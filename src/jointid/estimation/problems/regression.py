@@ -155,12 +155,13 @@ def solve_rows(
     while True:
         found = _settle(rows, estimator, fixed | held, instruments, turns)
         made += found.turns
-        values, std = found.values, found.covariance.std
+        values = found.values
         there = np.where(np.isin(np.arange(values.size), found.free), bounds.clip(values), values)
         outside = np.flatnonzero(there != values)
         # No bound, nor one of another, is a remedy of an inertia below 0.
         if not outside.size or any(stated[i].quantity is Quantity.INERTIA and values[i] <= 0.0 for i in outside):
             return replace(found, turns=made, held=held)
+        std = found.covariance.std
         sizes = np.where(std > 0.0, std, np.where(values == 0.0, 1.0, np.abs(values)))
         most = outside[np.argmax(np.abs(there - values)[outside] / sizes[outside])]
         held[rows.names[most]] = float(there[most])
