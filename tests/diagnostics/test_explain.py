@@ -15,8 +15,8 @@ from jointid.diagnostics.explain import Case, explain_failure, find_causes, list
 from jointid.diagnostics.model_free import find_plain_cause, find_steps, find_unexplained_share
 from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
-from jointid.models.controllers import Cascade, with_numbers
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.controllers import Cascade, FirstOrder, with_numbers
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -199,6 +199,27 @@ def test_torque_in_another_scale_is_no_gain_of_the_law_beside_an_added_signal() 
     weaker = replace(DRIVE, position_gain=0.3 * DRIVE.position_gain, derivative_gain=0.3 * DRIVE.derivative_gain)
     causes = find_causes(record, ClosedLoop(RigidJoint("revolute"), weaker), free=("delay",))
     assert [one.name for one in causes.explanations] == ["law_gain", "reference_scale"]
+
+
+@pytest.mark.slow
+def test_a_gain_that_hides_the_spring_is_named() -> None:
+    """The spring is refused, the residual is small, and five evaluations of the right cause leave more."""
+    lag = FirstOrder(0.4e-3)
+    law = Cascade(position_gain=20.0, velocity_gain=434.0, integral_gain=33.0, velocity_filter=lag, period=1.25e-4)
+    loop = ClosedLoop(FlexibleJoint("revolute"), law)
+    truth = {
+        "motor_inertia": 1.5, "motor_viscous": 12.0, "motor_coulomb": 14.0, "stiffness": 4e4, "damping": 20.0,
+        "load_inertia": 3.0, "load_viscous": 6.0, "load_coulomb": 9.0, "offset": 1.0,
+    }  # fmt: skip
+    reference = trapezoids((2.0, 3.0), 25.0, 0.8, 1e-3, duration=5.0)
+    noise = np.random.default_rng(1).normal(0.0, 0.6, len(reference))
+    record = simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise).without("motor_position")
+    found = ji.identify(record, replace(loop, controller=replace(law, velocity_gain=1.6 * 434.0)))
+    assert found["stiffness"].value is None and found.fit.filtered_error < 0.02
+    (message,) = (one for one in found.checks if one.code is Reason.CAUSE_FOUND)
+    causes: Any = message.values["causes"]
+    assert "law_gain" in [one["cause"] for one in causes]
+    assert causes[0]["value"] == pytest.approx(1 / 1.6, rel=0.05)
 
 
 @pytest.mark.slow

@@ -15,10 +15,10 @@ something else is wrong. Two mistakes that one number absorbs completely are rep
 from __future__ import annotations
 
 import contextlib
-import heapq
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,8 +61,7 @@ _ENOUGH = 1000  # evaluations of a case alone
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
 _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong sample time spoils all of a fit
-# Times the residual of free responses: a cause that leaves more is not all that is wrong. That to a motor's position is
-# the controller's, too, which it explains whatever the controller does.
+# Times the residual of free responses: a cause that leaves more is not all that is wrong
 _MORE, _MORE_OF_POSITION = 1.15, 2.0
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
@@ -77,6 +76,7 @@ _STARTS = 2  # of a case, that are followed
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
 _ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
+_LIGHTEST = 0.01  # of the rigid joint: inertia of a motor; a lighter one chatters in its loop
 _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
 _TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
 
@@ -155,9 +155,11 @@ def explain_misfit(
     gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
     poor = gross or error > _SUSPICIOUS
     if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
-        # Far below its resonance a flexible joint is rigid; a misfit there has another cause than its spring.
-        declared = Case(record, loop, estimate.settings.filtering)
-        poor = any(one.error > _SUSPICIOUS for one in fit_rigid([declared], _ENOUGH)[:1])
+        # Far below its resonance a flexible joint is rigid: its spring causes no misfit there, and no other gain.
+        for one in fit_rigid([Case(record, loop, estimate.settings.filtering)], _ENOUGH):
+            tests = SolvedLoop(one.problem, one.x).tests
+            gains = (test for test in tests if test.p_value <= LEVEL and test.fault.measure != "ms")
+            poor = one.error > _SUSPICIOUS or any(_is_gross(test, estimate.data.sample_time) for test in gains)
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
@@ -333,8 +335,7 @@ def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
     moved = replace(declared.record, motor_position=declared.record.reference)
     with contextlib.suppress(*FAILS):
         left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
-        words = "the channel given as the reference is the motor's actual position"
-        yield Cause("reference_is_position", words, left=left)
+        yield Cause("reference_is_position", "the channel given as the reference is the motor's position", left=left)
 
 
 def _judge_mode(rigid: Fit, joint: RigidJoint, most: int) -> Iterator[Cause]:
@@ -391,39 +392,38 @@ def fit_rigid(tried: Sequence[Case], most: int) -> list[Fit]:
 def _race(starts: Sequence[Iterator[Fit]], most: int, loss: float = 0.0) -> list[Fit]:
     """Solutions of the cases in some `most` evaluations, best first; poor ones are dropped early.
 
-    The starts with the least residual are followed, and those as declared. Cases within the share `loss` of the best
-    are kept.
+    The best start of each case is followed before any second one. Cases within the share `loss` of the best are kept.
     """
     listed = in_threads(list, starts)
     step = 1 + sum(map(len, listed)) // most
-
-    def choose(own: Sequence[Fit]) -> list[Fit]:
-        some = (fit.begin() for fit in own[::step])
-        return heapq.nsmallest(_STARTS, (fit for fit in some if fit.error < _ASTRAY), key=lambda fit: fit.error)
-
-    begun = list(itertools.chain(*in_threads(choose, listed)))
-    begun.sort(key=lambda fit: (fit.case.change is not None, fit.error))
-    followed = in_threads(lambda fit: fit.descend(_FEW), begun[: most // (2 * _FEW)])
-    fits, best = sorted(filter(None, followed), key=lambda fit: fit.error), dict[int, Fit]()
+    begun = in_threads(Fit.begin, [fit for own in listed for fit in own[::step]])
+    tried = _in_turn(fit for fit in begun if fit.error < _ASTRAY)
+    followed = in_threads(lambda fit: fit.descend(_FEW), tried[: most // (2 * _FEW)])
+    fits = _in_turn(filter(None, followed))
     bound = max(_BEHIND * fits[0].error, fits[0].error + loss) if fits else 0.0
     for k, fit in enumerate(fits[: max(most // (2 * _TO_ITS_END), _STARTS)]):
         if fit.error <= bound:  # to its minimum, where its number can be stated
             fits[k] = fit.descend(_TO_ITS_END) or fit
+    return _in_turn(fits, 1)
+
+
+def _in_turn(fits: Iterable[Fit], each: int = _STARTS) -> list[Fit]:
+    """Sort by residual the best fit of each case, then the second ones."""
+    cases = defaultdict[int, list[Fit]](list)
     for fit in sorted(fits, key=lambda fit: fit.error):
-        best.setdefault(id(fit.case), fit)
-    return [*best.values()]
+        cases[id(fit.case)].append(fit)
+    rows = itertools.islice(itertools.zip_longest(*cases.values()), each)
+    return [fit for row in rows for fit in row if fit is not None]
 
 
 def _list_rigid_starts(case: Case) -> Iterator[Fit]:
     """Yield starts by the inverted controller or exact tracking, at some delays."""
     for problem in filter(None, (_pose(case, loop, low=True) for loop in case.loops)):
-        starts = list[dict[str, float]]()
         with contextlib.suppress(JointidError):
-            starts = rigid_starts(problem, ignore_progress)
-        for values in starts:
-            values["inertia"] = abs(values["inertia"])
-            values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
-            yield from _delayed(case, problem, values)
+            for values in rigid_starts(problem, ignore_progress):
+                values["inertia"] = abs(values["inertia"])
+                values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
+                yield from _delayed(case, problem, values)
 
 
 def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
@@ -431,7 +431,9 @@ def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
     case, values = rigid.case, rigid.problem.values(rigid.x)
     near = [values[case.free] * by for by in _NEAR] if case.free in case.numbers else []
     case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= 10 else ())))
-    for problem in filter(None, (_pose(case, loop) for loop in case.loops)):
+    for posed in filter(None, (_pose(case, loop) for loop in case.loops)):
+        motor = replace(posed.joint.parameters[0], lower=_LIGHTEST * values["inertia"])
+        problem = posed.replace_parameters({motor.name: motor})
         modes = frequencies_to_try(problem.axis.law, values["inertia"], problem.sample_time)[::_APART]
         for hertz, share in itertools.product(modes, _SHARES):
             yield from _delayed(case, problem, start_with_mode(problem, values, hertz, share))
