@@ -83,7 +83,7 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
 
 
 def require_work(problem: ClosedLoopProblem) -> None:
-    """Refuse a torque that mostly takes energy along its motion; one that moves a joint gives it."""
+    """Refuse a torque that takes most of the energy exchanged along its motion."""
     try:
         torque, position = _turn_round(problem)
     except MethodError:  # a controller that cannot be turned round tells no motion
