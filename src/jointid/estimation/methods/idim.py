@@ -41,13 +41,14 @@ from jointid.estimation.problems.regression import Estimator, Instruments, Solut
 from jointid.estimation.problems.simulated import require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, build_rows
 from jointid.estimation.result.verdict import Check, Reason, Subject, check_of
-from jointid.estimation.robots.simulated import IdentifiedRobot, nominal_numbers, rows_of_robot
+from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, motion_at, run_loop
 from jointid.simulation.start import Initial
 from jointid.uncertainty.covariance import LEVEL, SHOWN
@@ -157,11 +158,14 @@ class IDIM(Method):
         def state(solved: Solution) -> dict[str, Any]:
             found = replace(parameters, parameters=solved.fix(parameters.parameters))
             part = IdentifiedRobot(loop or robot, found, solved.values)
-            nominal = solved.rows.relative_errors(found.group(nominal_numbers(robot, part.numbers())))
+            rows, masses, nominal = solved.rows, found.inertial, found.group(Numbers.of(robot))
+            # The identified friction makes up for identified inertias: beside nominal ones it is fitted anew.
+            left = rows.Y - rows.W[:, masses] @ nominal[masses]
+            nominal[~masses] = np.linalg.lstsq(rows.W[:, ~masses], left, rcond=None)[0]
             return {
-                "rows": rows_of_robot(part, solved.covariance.std, solved.held, {}),
+                "rows": rows_of_robot(part, solved.covariance.std, solved.held, {}, nominal),
                 "robot": part,
-                "nominal": nominal,
+                "nominal": rows.relative_errors(nominal),
             }
 
         inverse = inverse_of_robot(robot, parameters)

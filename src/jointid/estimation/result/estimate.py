@@ -55,7 +55,7 @@ class EstimatedParameter:
             record of such a motion, so it is no part of `stderr`.
         axis: the joint of a robot; empty for a single joint, and for parameters of all axes.
         formula: for a robot, the sum of its own numbers, or the symbol if it is no sum. Empty for a joint.
-        nominal: of the robot as it was given; None for a joint.
+        nominal: of the robot as it was given, by IDIM beside fitted friction; None for a joint.
     """
 
     name: str
@@ -109,8 +109,8 @@ class Fit:
         conditioning: of a regressor, by name, see `conditioning`; None without a linear regression.
         passes: over the whole of a long log.
         axis_errors: the filtered error of each joint of a robot, by name; its rms is then `filtered_error`.
-        nominal_errors: the same of the nominal robot, with the friction of the estimate; infinite if it cannot be
-            simulated.
+        nominal_errors: the same of the nominal robot, with the friction of the estimate, by IDIM with fitted friction;
+            infinite if it cannot be simulated.
     """
 
     measured: FloatArray

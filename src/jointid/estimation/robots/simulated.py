@@ -135,9 +135,9 @@ def identify_simulated_robot(
     verdicts = {p.name for p, scaled in zip(parameters.parameters, parameters.logarithmic, strict=True) if scaled}
     held = {name: bound for name, bound in held.items() if name not in verdicts}
     hidden = {name: least for name, least in fit.springs.items() if least is not None}
-    std = fit.covariance.append_constants(fixed).std
+    std, nominal = fit.covariance.append_constants(fixed).std, parameters.group(Numbers.of(robot))
     result = build_estimate(
-        records, rows_of_robot(part, std, held, hidden), fit.covariance.correlation,
+        records, rows_of_robot(part, std, held, hidden, nominal), fit.covariance.correlation,
         (problem.measured, problem.predict(fit.runs)), fit.relative_error, problem.filtered_torque.size,
         (stop, fit.converged), fit.iterations,
         Settings(method.name, f"{variant}, {kind}", robot, None, problem.filtering, log_delay=late),
@@ -160,16 +160,16 @@ def rows_of_robot(
     std: FloatArray,
     held: Mapping[str, float],
     hidden: Mapping[str, float],
+    nominal: FloatArray,
 ) -> tuple[EstimatedParameter, ...]:
     """Rows of the parameters; a hidden spring has at most a bound.
 
-    Standard deviations are (parameters,); `held` has the active bounds by name, `hidden` lower bounds of stiffnesses by
-    joint. Nominal values are declared.
+    Standard deviations and `nominal` values are (parameters,); `held` has the active bounds by name, `hidden` lower
+    bounds of stiffnesses by joint.
     """
     refused: dict[str, float | None] = {f"{joint}.stiffness": least for joint, least in hidden.items()}
     refused |= {f"{joint}.damping": None for joint in hidden}
     robot, parameters, rows = part.model, part.parameters, list[EstimatedParameter]()
-    nominal = parameters.group(Numbers.of(robot))
     described = zip(parameters.parameters, parameters.places, parameters.units(robot), strict=True)
     found = zip(part.values, std, parameters.formulas(robot), nominal.tolist(), strict=True)
     for (p, place, unit), (value, spread, formula, given) in zip(described, found, strict=True):
