@@ -179,7 +179,10 @@ def test_a_demo_that_is_interrupted_leaves_no_folder(tmp_path: Path, monkeypatch
     assert not [*tmp_path.iterdir()]
 
 
-def test_every_command_is_documented() -> None:
+def test_every_command_is_documented(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("identify", "--help") == run("--version") == 0
+    shown = capsys.readouterr().out
+    assert "default: False" not in shown and "default: ()" not in shown and "\nnumpy " in shown
     page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^## `jointid ([a-z-]+)", page, re.MULTILINE)) == {
         name for name in app if not name.startswith("-")

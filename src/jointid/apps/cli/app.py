@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import gc
 import io
 import os
@@ -16,7 +15,7 @@ from collections.abc import Callable, Mapping
 from importlib import metadata
 from typing import Any, NoReturn
 
-from cyclopts import App, CycloptsError, Group
+from cyclopts import App, CycloptsError, Group, Parameter
 
 from jointid import __version__
 from jointid.apps.cli import console
@@ -37,11 +36,9 @@ _ENDING = "Exit codes, and options that most commands have, as --quiet: docs/com
 
 def _versions() -> str:
     """Return the versions of this package, Python and the numerical packages."""
-    lines = [f"jointid {__version__}", f"Python {platform.python_version()}"]
-    for name in ("numpy", "scipy", "numba"):
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            lines.append(f"{name} {metadata.version(name)}")
-    return "\n".join(lines)
+    found = {name: metadata.version(name) for name in ("numpy", "scipy", "numba")}
+    known = {"jointid": __version__, "Python": platform.python_version(), **found}
+    return "\n".join(f"{name} {version}" for name, version in known.items())
 
 
 app = App(
@@ -50,7 +47,9 @@ app = App(
     help_epilogue=f"Begin with: jointid demo\n{_ENDING}",
     group_commands=Group("Options", sort_key=9),
     version=_versions,
-    help_format="plaintext",
+    help_format="markdown",
+    version_format="plaintext",
+    default_parameter=Parameter(show_default=lambda value: value or None),  # no word of what is off or empty
     suppress_keyboard_interrupt=False,
 )
 

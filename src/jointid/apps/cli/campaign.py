@@ -29,7 +29,7 @@ def campaign(
     Args:
         file: the campaign file (TOML).
         out: file of the results, one line each; without it the campaign file's name with .jsonl.
-        workers: number of processes; 0 is one for each core.
+        workers: number of processes; by default one for each core.
         dask: address of the scheduler of a Dask cluster that runs the cases, as tcp://10.0.0.1:8786.
         again: also retry cases that were refused, failed or set aside.
         false_alarm: probability that any joint of a fleet without drift is reported.

@@ -191,7 +191,7 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     Its tables show printed, recomputed and newly identified values.
 
     Args:
-        out: folder for the HTML page, the Markdown page and the figures; it is created if missing.
+        out: folder for the HTML page and the figures; it is created if missing.
         seed: of the noise; the same seed gives the same bytes.
         quiet: print no progress.
     """
