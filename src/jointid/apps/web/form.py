@@ -251,14 +251,15 @@ def _leave_out(tables: Tables, keys: Collection[str], place: str = "") -> Tables
     return {name: one for name, one in (kept | below).items() if one != {}}
 
 
-def place_faults(error: Exception | None, shown: Collection[str]) -> dict[str, list[str]]:
-    """Group fault sentences by field, or by the further lines, or ""."""
+def place_faults(error: Exception | None, shown: Mapping[str, Field]) -> dict[str, list[str]]:
+    """Group fault sentences, with labels for keys, by field, or by the further lines, or ""."""
     placed = dict[str, list[str]]()
     for fault in getattr(error, "faults", str(error or "").splitlines()):
         place = getattr(fault, "place", ())
         keys = [dot_path(place[:n]) for n in range(len(place), 0, -1)]
-        found = (one for key in keys for one in (key, f"{key}.column") if one in shown)
-        placed.setdefault(next(found, EXTRA if place and EXTRA in shown else ""), []).append(fault)
+        found = next((one for key in keys for one in (key, f"{key}.column") if one in shown), "")
+        said = fault.replace(found, shown[found].label, 1) if found else fault
+        placed.setdefault(found or (EXTRA if place and EXTRA in shown else ""), []).append(said)
     return placed
 
 

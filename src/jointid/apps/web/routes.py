@@ -124,7 +124,7 @@ class Page:
         sections = [form.Section("Read a text file in another way", form.TEXT, folded=True)]
         if number > 1:
             sections = [*(form.ROBOT if now.robot else forms[number](now.texts))]
-        faults = form.place_faults(refusal, {one.key for section in sections for one in section.fields})
+        faults = form.place_faults(refusal, {one.key: one for section in sections for one in section.fields})
         return self.render(
             "form" if number > 1 else "record", 422 if faults else 200, step=number, sections=sections,
             texts=now.texts, faults=faults, suffixes=_SUFFIXES, bound=folder.UPLOAD, columns=columns,
