@@ -114,14 +114,12 @@ def test_no_lines_lead_to_another_file(said: str, names: list[str]) -> None:
 
 def test_a_text_is_bounded_and_printable() -> None:
     entered = take([("controller.position_gain", "x\x00\x1b[2J" + "9" * 1000)])["controller.position_gain"]
-    assert len(entered) == 300
-    assert entered.isprintable()
+    assert len(entered) == 300 and entered.isprintable()
 
 
 def test_several_records_are_rows_of_the_joint_file() -> None:
     tables = make_tables(FILLED, ["a.csv", "b.csv"])
-    assert tables["records"] == [{"file": "a.csv"}, {"file": "b.csv"}]
-    assert "file" not in tables["record"]
+    assert tables["records"] == [{"file": "a.csv"}, {"file": "b.csv"}] and "file" not in tables["record"]
     tables["records"][0]["added_inertia"] = 2.5
     assert make_tables(show_tables(tables), ["a.csv", "b.csv", "c.csv"])["records"] == tables["records"]
 
