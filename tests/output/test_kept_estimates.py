@@ -64,8 +64,7 @@ def test_a_kept_estimate_gives_the_torque_of_a_motion(kind: str, tmp_path: Path)
     np.testing.assert_allclose(torque, estimate.torque(q, v, a), rtol=1e-12)
     np.testing.assert_allclose(back.torque(q[0], v[0], a[0]), torque[0], rtol=1e-12)
     if kind == "joint":
-        with pytest.raises(ji.MethodError):
-            back.plot()
+        assert str(back["inertia"]) in {one.get_text() for one in back.plot().axes[0].texts}
         x = back.values
         forwards, backwards = ((x[f"viscous_{way}"] * v, x[f"coulomb_{way}"]) for way in ("forwards", "backwards"))
         friction = np.where(v > 0, sum(forwards), backwards[0] - backwards[1])

@@ -25,6 +25,7 @@ from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.methods import method_of
 from jointid.estimation.result.estimate import Estimate
+from jointid.output.axis_drawing import axis_figure
 from jointid.records.record import Record, instants
 
 if TYPE_CHECKING:
@@ -342,8 +343,8 @@ class Plots:
     estimate: Estimate
 
     def __call__(self) -> Figure:
-        """Return the measured and the predicted torque over time, and their difference."""
-        return torque(self.estimate)
+        """Return the torque over time; of an estimate from a file, which keeps none, the axis with its values."""
+        return torque(self.estimate) if self.estimate.fit.measured.size else axis_figure(self.estimate)
 
     def residual(self, record: Record | Sequence[Record]) -> Figure:
         """Return the torque error against velocity and position.

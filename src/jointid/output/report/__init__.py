@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from numpy.linalg import LinAlgError
 
@@ -118,14 +118,13 @@ class Report:
             "response": lambda: compute_response(estimate),
             "profiles": lambda: intervals(estimate, record, asked),
         }
-        found, absent, own = dict[str, Any](), dict[str, str](), estimate.diagnosis
+        found, absent, checked = dict[str, Any](), dict[str, str](), cast("Diagnosis | None", estimate.diagnosis)
         for part, compute in parts.items():
             progress(f"collecting the report: {part}")
             try:
                 found[part] = compute()
             except JointidError as error:
                 absent[part] = str(error)
-        checked = own if isinstance(own, Diagnosis) else None
         return cls(
             estimate, checked, tuple(checks), name, again, tuned, dict(record.items()), absent=absent, **found
         )  # fmt: skip

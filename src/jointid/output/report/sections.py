@@ -187,7 +187,7 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
             yield Text("\n".join(map(str, given.profiles)), "list")
     if given.absent:
         yield Text("Not available", "heading")
-        yield Text("\n".join(map(sentence, given.absent.values())), "list")
+        yield Text("\n".join(sentence(" ".join(one.splitlines())) for one in given.absent.values()), "list")
     yield Text("Settings and data", "heading")
     yield from _settings(given)
 
