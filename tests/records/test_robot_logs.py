@@ -205,11 +205,11 @@ def test_a_log_is_recognised_and_read_by_the_file_that_is_written(name: str, tmp
     axis = "knee" if name in ("sage", "ros2") else "2"
     idim = '\n[method]\nname = "idim"\n'
     if name == "pace":  # which logs no torque: the law, which no file states, stands for it
-        text = describe_log(found, path.name, "2")
+        text = describe_log(found, path.name, "2", {})
         assert 'torque = "from_controller"' in text
         compared(loads(text + LAW, tmp_path).record(), 1, name)
         return
-    alone = describe_log(found, path.name, axis) + idim
+    alone = describe_log(found, path.name, axis, {}) + idim
     file = loads(alone, tmp_path)
     compared(file.record(), 1, name)
     (tmp_path / "robot.urdf").write_text(URDF)

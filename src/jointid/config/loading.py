@@ -38,14 +38,9 @@ _ASKED = """
 # The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive.
 # [controller]
 # law = "{}"
-# position_gain = "? N m/rad"
-# derivative_gain = "? N m s/rad"
-"""
-_CHANNELS = """
-[record.channels]
-# torque = { column = "?", unit = "N m" }
-# reference = { column = "?", unit = "rad" }
-# motor_position = { column = "?", unit = "rad" }
+# position_gain = "? 1/s"            # of a pd "? N m/rad"
+# velocity_gain = "? N m s/rad"      # of a pd derivative_gain
+# integral_time = "? ms"             # of a pd none
 """
 
 
@@ -196,16 +191,19 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
+def describe_log(found: Inspection, file: str, axis: str | None, proposed: Mapping[str, str | None]) -> str:
     """Draft a joint file for an inspected log, with comments on unknown data.
 
-    `file` is the log's path from the joint file's folder, `axis` the number or name of one of several.
+    `file` is the log's path from the joint file's folder, `axis` the number or name of one of several. `proposed` are
+    the columns of channels where no profile knows them, None if unknown.
     """
     log = found.recognised
     if log is None:
         names = ", ".join(show(channel.name) for channel in found.channels)
-        text = tomlkit.dumps({"joint": {"kind": "revolute"}, "record": {"file": file}})
-        return f"# No profile of a drive knows these columns: {names}.\n\n{text}{_CHANNELS}{_ASKED.format('pd')}"
+        text = tomlkit.dumps({"joint": {"kind": "revolute"}, "record": {"file": file}}) + "\n[record.channels]\n"
+        for name, column in proposed.items():
+            text += f"{'' if column else '# '}{name} = {{ column = {tomlkit.item(column or '?').as_string()} }}\n"
+        return f"# No profile of a drive knows these columns: {names}.\n\n{text}{_ASKED.format('cascade')}"
     axes = {axis.name: axis for axis in log.axes}
     axes |= {str(one.place["axis"]): one for one in log.axes if "axis" in one.place}
     if axis is None and len(log.axes) == 1:
@@ -221,7 +219,7 @@ def describe_log(found: Inspection, file: str, axis: str | None = None) -> str:
         "drive": {"profile": log.profile.name, **{key: value for key, value in chosen.place.items() if key != "index"}},
     }
     said = "".join(f"# {text}\n" for text in (log.sentence, *log.profile.assumed))
-    return f"{said}\n{tomlkit.dumps(tables)}{_ASKED.format(log.profile.law or 'pd')}"
+    return f"{said}\n{tomlkit.dumps(tables)}{_ASKED.format(log.profile.law or 'cascade')}"
 
 
 def _clock(columns: Mapping[str, InspectedChannel], axis: LoggedAxis) -> dict[str, Any]:

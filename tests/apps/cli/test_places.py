@@ -11,10 +11,10 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.apps.cli.console import spare
 from jointid.common.errors import RecordError
 from jointid.common.files import beside, write_folder, write_whole
-from jointid.config.toml import parse_toml
 from jointid.records.formats import Table, write_table
 from tests.joint_files import EXAMPLE as EMPS
 from tests.losses.runs import contents
@@ -88,9 +88,10 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
 
 
 def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("inspect", "record.csv", "--write", "new.toml") == 0
-    text = Path("new.toml").read_text(encoding="utf-8")
-    assert "t, vir, qg" in text and parse_toml(text)["record"]["file"] == "record.csv"
+    Path("own.csv").write_text("Zeit [ms];Strom [A];Lage-Soll [°]\n0;1,5;0,5\n1;2,5;1,0\n", encoding="cp1252")
+    assert run("inspect", "own.csv", "--write", "own.toml") == 0
+    record = ji.load("own.toml", ["joint.torque_constant=1.0"]).record()
+    assert record.torque.values.tolist() == [1.5, 2.5] and record.reference.unit == "rad"
     (place / "taken.toml").mkdir()
     assert run("inspect", "record.csv", "--write", "taken.toml") == 2 and "Traceback" not in capsys.readouterr().err
 

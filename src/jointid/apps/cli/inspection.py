@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -16,12 +17,15 @@ from jointid.common.files import write_whole
 if TYPE_CHECKING:
     from jointid.config import File
     from jointid.diagnostics.diagnosis import Diagnosis
+    from jointid.records.inspection import Inspection
 
-Decimal: TypeAlias = Literal[".", ","]
-Header: TypeAlias = Annotated[bool | None, Parameter(negative="--no-header")]
-
-FAULTY = 3
-"""Exit code for a faulty record, or for any finding."""
+_FAULTY = 3  # exit code for a faulty record, or for any finding
+_NAMES = {
+    "torque": "torque|moment|force|kraft|current|strom",
+    "reference": "(pos|lage|angle|winkel|^[xq]_).*(soll|set|ref|com|cmd)",
+    "motor_position": "(pos|lage|angle|winkel).*(ist|act|meas|mot)",
+}
+"""Patterns of column names for a log of an unknown drive; a single match is proposed."""
 
 
 def inspect(
@@ -29,15 +33,14 @@ def inspect(
     /,
     *,
     delimiter: str | None = None,
-    decimal: Decimal | None = None,
-    header: Header = None,
+    decimal: Literal[".", ","] | None = None,
+    header: Annotated[bool | None, Parameter(negative="--no-header")] = None,
     json: Path | None = None,
     write: Path | None = None,
     axis: str | None = None,
 ) -> None:
     """List what is in a file, channel by channel.
 
-    Each channel is listed with its rows, unit, sample time and range.
     The file has any format of records, or is the folder of a ROS 2 bag or of several files. The answer names the clock,
     and the drive if recognised.
 
@@ -61,11 +64,19 @@ def inspect(
     found = look(file, **{name: value for name, value in options.items() if value is not None})
     text = ""
     if write is not None:  # refuse before any file is written
-        text = describe_log(found, Path(os.path.relpath(file.absolute(), write.absolute().parent)).as_posix(), axis)
+        place = Path(os.path.relpath(file.absolute(), write.absolute().parent)).as_posix()
+        text = describe_log(found, place, axis, propose_columns(found))
     deliver(found, json)
     if write is not None:
         write_whole(write, text)
         show(f"Written: {write}")
+
+
+def propose_columns(found: Inspection) -> dict[str, str | None]:
+    """Return the column of each channel by the names of the columns, None if unknown."""
+    names = [channel.name for channel in found.channels]
+    fitting = {one: [name for name in names if re.search(words, name.lower())] for one, words in _NAMES.items()}
+    return {one: some[0] if len(some) == 1 else None for one, some in fitting.items()}
 
 
 def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False) -> int:
@@ -89,11 +100,8 @@ def diagnose(joint: Path, /, *, options: Options = DEFAULTS, laws: Flag = False)
     pairs = file.each(() if options.record is None and file.only_lists else [file.record_path(options.record)])
     if len(pairs) > 1 and options.json is not None:
         raise MethodError(f"--json holds one record, and {joint} lists {len(pairs)}; name one of them by --record.")
-    nothing = True
-    for part, path in pairs:
-        found = _diagnose_record(part, Path(path), options, laws)
-        nothing &= found.healthy and not found.sentences
-    return 0 if nothing else FAULTY
+    every = [_diagnose_record(part, Path(path), options, laws) for part, path in pairs]
+    return 0 if all(found.healthy and not found.sentences for found in every) else _FAULTY
 
 
 def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Diagnosis:

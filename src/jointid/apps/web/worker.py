@@ -8,7 +8,6 @@ standard input is closed, at the end of the page.
 from __future__ import annotations
 
 import os
-import re
 import sys
 import threading
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jointid.apps.cli.app import app, run
+from jointid.apps.cli.inspection import propose_columns
 from jointid.apps.web.folder import Draft
 from jointid.apps.web.form import TEXT, make_tables, show_tables
 from jointid.common.arrays import FloatArray
@@ -29,12 +29,6 @@ if TYPE_CHECKING:
 
 _DRAWN, _LISTED = 64, 2000  # most columns that are drawn, and that are listed
 _STRETCHES, _LARGEST = 640, 1e300  # intervals of a drawn column, and its largest number
-_NAMES = {
-    "torque": "torque|moment|force|kraft|current|strom",
-    "reference": "(pos|lage|angle|winkel|^[xq]_).*(soll|set|ref|com|cmd)",
-    "motor_position": "(pos|lage|angle|winkel).*(ist|act|meas|mot)",
-}
-"""Patterns of column names for a log of an unknown drive; a single match is proposed."""
 
 
 def preview() -> None:
@@ -53,8 +47,7 @@ def preview() -> None:
         for k, channel in enumerate(found.channels[:_LISTED])
     ]
     names = [channel.name for channel in found.channels]
-    proposed = {one: [name for name in names if re.search(words, name.lower())] for one, words in _NAMES.items()}
-    channels = {one: {"column": some[0]} for one, some in proposed.items() if len(some) == 1}
+    channels = {one: {"column": column} for one, column in propose_columns(found).items() if column}
     clock = {channel.time: {"time": channel.time} for channel in found.channels if channel.time}
     tables: dict[str, Any] = {"record": {"channels": channels} | (clock.popitem()[1] if len(clock) == 1 else {})}
     said: dict[str, Any] = {"columns": listed, "names": names, "count": len(names), "tables": tables, "sentence": ""}
