@@ -20,7 +20,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads, one_thread
 from jointid.common.parameters import Parameter
-from jointid.common.text import join, number
+from jointid.common.text import in_words, join, number
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis, diagnose_joint, diagnose_robot
@@ -374,7 +374,7 @@ def widen_for_faults(axis: AxisDiagnosis, rows: Mapping[str, EstimatedParameter]
 def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedParameter], remedy: str) -> Widening:
     """Parameter shifts as one deviation each, and a sentence on large ones."""
     off = [
-        f"{row.symbol} by {number(2 * by[name], 2)} {row.unit}".rstrip()
+        f"{in_words(name)} by {number(2 * by[name], 2)} {row.unit}".rstrip()
         for name, row in rows.items()
         if by.get(name, 0.0) > TOLD * (row.stderr or 0.0)
     ]

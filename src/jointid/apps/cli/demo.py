@@ -47,8 +47,6 @@ def demo(
     """Try all of it on a simulated axis, robot or fleet.
 
     The axis is the digital twin of the paper's flexible one, and is identified from torque alone, its stiffness too.
-    Writes the record, the joint file, the answer and the figure; change the joint file and run
-    `jointid identify FOLDER/joint.toml` to see the effect.
 
     Args:
         folder: where to write, new or empty; without it jointid-demo, jointid-demo-robot or jointid-demo-fleet.
@@ -99,7 +97,7 @@ def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
         values = estimate.robot.parameters_of(truth)
         assert values is not None
         truth = dict(zip(estimate.robot.names, values.tolist(), strict=True))
-    return Document(str(estimate.answer), (parameters_table(estimate, truth=truth),)).text()
+    return Document(str(estimate.answer), (parameters_table(estimate, details=False, truth=truth),)).text()
 
 
 def _write_axis(folder: Path) -> tuple[str, Mapping[str, float]]:

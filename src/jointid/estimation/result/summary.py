@@ -72,7 +72,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
             ("combination", [one.combination.name for one in known], True),
             ("value ± 2 sigma", [interval(one.value, INTERVAL * one.std) for one in known], False),
             ("unit", [one.combination.unit for one in known], True),
-            ("symbol", [one.combination.formula for one in known], True),
+            *([("symbol", [one.combination.formula for one in known], True)] if details else []),
         )
     if bounds := told_bounds(estimate):
         least = [f"{b.stiffness:.3g}" if b.stiffness else "not bounded" for b in bounds]
@@ -137,7 +137,7 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
 
     Args:
         estimate: whose parameters are shown.
-        details: whether to show the state at the first sample, and insignificant values of a robot.
+        details: whether to show symbols, the state at the first sample, and insignificant values of a robot.
         truth: true values by name, others are not shown.
     """
     said, hidden = remarks(estimate), 0
@@ -160,7 +160,8 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
         columns.append((f"{k} alone", [alone.get(p.name, "-") for p in rows], False))
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
-    columns.append(("symbol", [p.symbol for p in rows], True))
+    if details:
+        columns.append(("symbol", [p.symbol for p in rows], True))
     return _table(f"{hidden} more are not significant in this record" if hidden else "", *columns)
 
 
@@ -187,5 +188,5 @@ def remarks(estimate: Estimate) -> dict[str, str]:
         one, other = estimate.free[i], estimate.free[j]
         apart = i != j and not estimate.fit.axis_errors
         if apart and all(name in rows and rows[name].of_joint for name in (one, other)):
-            found.setdefault(one, []).append(f"only with {rows[other].symbol}")
+            found.setdefault(one, []).append(f"only with {in_words(other)}")
     return {name: ", ".join(said) for name, said in found.items()}

@@ -391,7 +391,7 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
     elif unchecked := _name_unchecked(estimate):
         words, against = unchecked, [Message(Reason.MOTION_MEASURED, "")] * estimate.motion_measured
     else:
-        within = ": what is wrong with loop or log moves it by less than its interval"
+        within = ": what was found wrong moves it by less than its interval"
         code, words = Trust.RELIABLE, f"You can rely on it{within if _failed(estimate, Subject.LOOP) else ''}"
     return Message(code, words, {"reasons": [str(one.code) for one in against], "parameters": moved})
 

@@ -176,7 +176,7 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     yield Text("Appendix", "heading")
     yield Text("The estimate in full", "heading")
     yield from _part(estimate, details=True)
-    for part, title in ((given.diagnosis, "Controller and log"), (given.validation, "Validation"), (tuned, "Loop")):
+    for part, title in ((given.diagnosis, "Tested faults"), (given.validation, "Validation"), (tuned, "Loop")):
         if part is not None:
             yield Text(title, "heading")
             yield from _part(part)
