@@ -38,10 +38,9 @@ def rigid_page() -> str:
     return reports.rigid().html()
 
 
-@pytest.mark.parametrize("made", [reports.rigid, reports.idim, reports.flexible])
-def test_every_section_is_there(made: object) -> None:
-    assert callable(made)
-    text = reports.marked(replace(made(), absent={"part": "one sentence,\nin two lines"}))
+@pytest.mark.parametrize("kind", ["rigid", "idim", "flexible"])
+def test_every_section_is_there(kind: str) -> None:
+    text = reports.marked(replace(getattr(reports, kind)(), absent={"part": "one sentence,\nin two lines"}))
     assert "One sentence, in two lines." in text
     assert not re.search(r"\b(ZZ|K|Fv|Fc)[12]*\b", text.partition("## Appendix")[0])  # the paper's symbols
     found = re.findall(r"^## (.*)$", text, re.MULTILINE)
@@ -100,8 +99,7 @@ def test_nothing_is_loaded_from_elsewhere(rigid_page: str) -> None:
         for name in ("src", "href", "xlink:href"):
             assert (attributes.get(name) or "#").startswith(("#", "data:")), (tag, attributes)
     policy = next(m["content"] for m in elements.of("meta") if m.get("http-equiv") == "Content-Security-Policy")
-    assert policy.startswith("default-src 'none';")
-    assert "script-src" not in policy
+    assert policy.startswith("default-src 'none';") and "script-src" not in policy
 
 
 def test_hostile_names_stay_names(rigid_page: str) -> None:
@@ -185,7 +183,6 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     told = Report.of(estimate, records)
     text = reports.marked(told)
     assert "| joint1, stiffness | > 1234 |" in text
-    assert "--held-out" in text
     answer = json.loads(told.answer())
     assert answer["estimate"]["schema"] == "jointid.Estimate/2" and answer["validation"] is None
     assert set(told.figures) == {"torque", "residual", "spectra"}

@@ -30,8 +30,8 @@ LAW, LEARN = "controller.law", "learn"
 """Field of the controller law, and its choice to learn the controller."""
 
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
-_RATIO, _SIDE = "transmission.ratio", "record.channels.reference.side"
-_LABELS = {_SIDE: "These positions are of the", "gravity.load": "Gravity"}  # labels that differ from the key
+_RATIO, _SIDE, _OF_MOTOR = "transmission.ratio", "record.channels.reference.side", "record.channels.motor_position.side"
+_LABELS = dict.fromkeys((_SIDE, _OF_MOTOR), "These positions are of the") | {"gravity.load": "Gravity"}  # not the key
 _SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # not folded
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are not folded
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
@@ -152,7 +152,7 @@ def channel_step(texts: Texts) -> Iterator[Section]:
         counts = texts.get(fields[0].key) or texts.get("drive.profile")
         title = name.replace("_", " ").capitalize()
         first = {f"record.channels.{name}.{one}" for one in ("column", "unit")}
-        first.add(_SIDE if name == "reference" and texts.get(_RATIO) else f"record.channels.{name}.gain")
+        first |= {_SIDE, _OF_MOTOR} if texts.get(_RATIO) else {f"record.channels.{name}.gain"}
         shown = tuple(sorted(fields, key=lambda one: one.key not in first))
         yield Section(title, shown if counts else shown[:1], folded=name not in _ALWAYS, channel=True)
     yield Section("A gear, a belt or a screw between motor and load", _find("transmission"), folded=True)
