@@ -2,7 +2,7 @@
 
 python examples/axes/make_records.py belt        writes belt.csv into the current folder; without a name all of them
 
-Each axis follows the motion that docs/typical-axes.md names for it, and noise is added to its torque.
+Each axis follows its `motion`, and noise is added to its torque.
 """
 
 from __future__ import annotations
