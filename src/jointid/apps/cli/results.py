@@ -51,10 +51,8 @@ def report(
         controllers=file.controllers, repetition=again, progress=options.progress,
     )  # fmt: skip
     tuned = None if no_tuning else tune_to_limit(found)
-    if isinstance(tuned, str):
-        stated = replace(stated, absent={**stated.absent, "tuning": tuned})
-    else:
-        stated = replace(stated, tuned=tuned)
+    why = {"tuning": tuned} if isinstance(tuned, str) else {}
+    stated = replace(stated, absent={**stated.absent, **why}, tuned=None if isinstance(tuned, str) else tuned)
     for one in (found, *checks):
         show_result(one)
     stated.save(html)

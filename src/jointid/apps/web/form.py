@@ -32,6 +32,7 @@ LAW, LEARN = "controller.law", "learn"
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
 _RATIO, _SIDE, _OF_MOTOR = "transmission.ratio", "record.channels.reference.side", "record.channels.motor_position.side"
 _LABELS = dict.fromkeys((_SIDE, _OF_MOTOR), "These positions are of the") | {"gravity.load": "Gravity"}  # not the key
+_USUAL = {"joint.model": "rigid", "joint.spring": "linear", "gravity.load": "none", _OF_MOTOR: "motor"}  # no default
 _SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # not folded
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are not folded
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
@@ -112,7 +113,9 @@ def _make_field(key: FileKey) -> Field | None:
     if key.place.startswith("record.channels.") and last == "unit":
         words = tuple(chain.from_iterable(known_units(key.place.split(".")[2], kind) for kind in _KINDS))
     if words:
-        usual = "choose ..." if key.place in (_KIND, _SIDE) or last == "unit" else "as usual"
+        known = _USUAL.get(key.place, None if one.required else one.default)
+        usual = "as usual" if known is None else f"as usual: {known}"
+        usual = "choose ..." if key.place in (_KIND, _SIDE) or last == "unit" else usual
         return Field(key.place, one, {"": usual} | {str(word): str(word) for word in words})
     is_column = last == "column" or key.place == "record.time"
     return Field(key.place, one, is_column=is_column) if one.type in (int, float, str, Spans) else None
