@@ -90,19 +90,19 @@ class Run:
     file: str = field(metadata=declare("path of the record, from the joint file's folder", accept=format_of))
     added_inertia: float = setting(
         0.0,
-        "what is known to have been added to the load, as it is there, beyond what is shared",
+        "inertia that is added to the load in this record alone, on the load's side",
         unit="kg or kg m2",
         at_least=0,
         systems=MODELS,
     )
     own: tuple[str, ...] = setting(
         (),
-        "names of parameters of this record's own, which the others do not share; the motor's state at the first "
-        "sample always is",
+        "names of parameters that this record does not share with the others; the motor's state at its first sample "
+        "never is shared",
         systems=MODELS,
     )
     payload_mass: float | None = setting(
-        None, "of what the last link carries in this record beside the robot's model [kg]", above=0, systems=ROBOT
+        None, "mass that the last link carries in this record, beside the robot's model [kg]", above=0, systems=ROBOT
     )
     payload_center: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
@@ -177,7 +177,7 @@ _FILTERS = {kind: _variant(kind, _KIND | keys_of(owner), _make_filter) for kind,
 _FILTER = Table({}, shorthand="numerator", decided_by="kind", variants=_FILTERS)
 _LAW = (
     key("law", str, "the controller's law", "cascade", choices=tuple(LAWS))
-    | key("side", Side, "of the transmission, in whose positions and torque the law's numbers are", "motor")
+    | key("side", Side, "side of the transmission whose positions and torque the law's numbers are for", "motor")
 )  # fmt: skip
 
 
@@ -240,23 +240,23 @@ _OF_JOINT = (
     | key("spring", str, "the spring's law, of a flexible joint", accept=Spring, choices=tuple(SPRINGS))
     | key("name", str, "what reports call the joint")
     | key("torque_constant", float,
-          "of the motor or its amplifier, on the motor's side: takes a torque in A or V, and the output of a "
-          "controller in A or V, to N m or N; a plain number is per A", unit="N/A, N m/A, N/V or N m/V", above=0)
+          "torque per ampere or volt of motor and amplifier, on the motor's side; of a logged torque and of the "
+          "controller's output; a plain number is per A", unit="N/A, N m/A, N/V or N m/V", above=0)
 )  # fmt: skip
 AXIS_TABLES = (
     key("transmission", Table(keys_of(Transmission, without=("load",))), "what lies between motor and load")
-    | key("gravity", Gravity, "what its load weighs, if that matters")
+    | key("gravity", Gravity, "weight of the load")
     | key("ripple", Table(keys_of(PositionHarmonics) | _PERIOD, PositionHarmonics),
-          "a force that comes back with the position, if there is one")
+          "force that repeats with the position")
     | key("controller", _CONTROLLER, "the controller's law, if it is known")
-    | key("parameters", Mapping[str, _PARAMETER], "what is known of the parameters, by name", {})  # type: ignore[valid-type]
-    | key("limits", AxisLimits, "what the axis may do in a test that is planned", AxisLimits())
+    | key("parameters", Mapping[str, _PARAMETER], "values, starts and bounds of parameters, by name", {})  # type: ignore[valid-type]
+    | key("limits", AxisLimits, "limits of the axis in a planned test", AxisLimits())
 )  # fmt: skip
 """Tables of an axis: at top level of a joint file, in [[joints]] of a robot file."""
 
 _ALONE = (
     key("channels", _CHANNELS, "its channels, where they are not as [record.channels]", {})
-    | key("method", _METHOD, "as which the joint is identified alone", {})
+    | key("method", _METHOD, "method by which the joint is identified alone", {})
 )  # fmt: skip
 _make_axis = _fill(_OF_JOINT | AXIS_TABLES | _ALONE)
 
@@ -301,9 +301,9 @@ _OF_ROBOT = (
     | key("base", tuple[float, float, float],
           "roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
           (0.0, 0.0, 0.0), accept=_require_angles)
-    | key("feed_forward", FeedForward, "what the drives are given beside the controllers' torque", "none")
+    | key("feed_forward", FeedForward, "torque that the drives add to the controllers' output", "none")
     | key("locked", Mapping[str, float],
-          "by the names of joints of the model that stand still and that no log has, their positions [rad or m]", {})
+          "positions of the model's joints that stand still and that no log has, by name [rad or m]", {})
     | key("in_motion", bool, "whether the records begin while the robot moves, as its references do", False)
 )  # fmt: skip
 
@@ -317,7 +317,7 @@ _SHARED = (
     key("record", Table(keys_of(Source, TextOptions) | key("channels", _CHANNELS, "where the channels are found"),
                         _make_record), "the file of the record, and its channels", (Source(), {}))
     | key("drive", Table(keys_of(Drive, without=("torque_constant", "torque_per_volt")), Drive),
-          "whose traces they are, and its own units", Drive())
+          "profile and units of the drive", Drive())
     | key("filtering", Filtering, "how signals are filtered", Filtering())
     | key("method", _METHOD, "how the joint is identified", {})
 )  # fmt: skip
@@ -338,7 +338,7 @@ def _make_joint_file(joint: Values, **given: Any) -> Values:
     return _make_file(**given, joints=(_make_axis(**{"model": "rigid"} | joint, **tables),))
 
 
-_FREE = key("free", tuple[str, ...], "names of what surrounds the joint and is identified too", ())
+_FREE = key("free", tuple[str, ...], "names of further numbers to identify, of controller, filters or delays", ())
 JOINT_FILE = Table(
     key("joint", Table(_OF_JOINT | {"kind": replace(_OF_JOINT["kind"], default=MISSING, optional=False)}),
         "what is identified", MISSING)
