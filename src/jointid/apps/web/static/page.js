@@ -45,10 +45,10 @@ document.addEventListener("input", (event) => {
   const form = event.target.closest("form[data-draft]");
   if (!form) return;
   edits += 1;
-  chosen ||= event.target.matches("select");
+  chosen ||= event.target.matches("select, #transmission-ratio");  // a gear asks for the side of positions
   unkept = form;
   clearTimeout(timer);
-  timer = setTimeout(() => keep(form), chosen ? 0 : 300);
+  timer = setTimeout(() => keep(form), event.target.matches("select") ? 0 : 300);
 });
 window.addEventListener("pagehide", () => { if (unkept) keep(unkept, true); });
 
