@@ -99,7 +99,7 @@ def test_what_repeats_with_the_motion_is_not_taken_for_a_spring() -> None:
     of_time = of_place = 0
     for _ in range(100):
         direction, error = of_the_place()[:, np.newaxis], 0.3 * random.standard_normal(len(W)) + of_the_place()
-        of_time += quick(left(error), [direction]).p_value <= 0.05
-        of_place += quick(left(error), [direction], WHERE).p_value <= 0.05
+        of_time += quick(left(error), [direction]).values["p_value"] <= 0.05
+        of_place += quick(left(error), [direction], WHERE).values["p_value"] <= 0.05
     assert of_time >= 18
     assert of_place <= 11

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Bounds, Parameter
 
@@ -106,8 +106,7 @@ class Counted:
     @property
     def free(self) -> tuple[Parameter, ...]:
         """Identified parameters."""
-        free: tuple[Parameter, ...] = self.problem.free
-        return free
+        return tuple(self.problem.free)
 
     def linearise(self, x: FloatArray) -> Linear:
         """Residual, (rows,), and derivatives, (rows, free)."""
@@ -170,8 +169,8 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
         after = counted.linearise(x + step)
         used, gained = used + 1, _gain(norm, *after)
         # Where the least lies at a kink, shorter steps only creep towards it.
-        crossed = damping > 1.0 and reach is None and -math.inf < gained <= 0.0
-        kink = _find_kink((error, J), step, after) if crossed and used < solver.evaluations else None
+        crossed = damping > 1.0 and reach is None and -math.inf < gained <= 0.0 and used < solver.evaluations
+        kink = _find_kink((error, J), step, after) if crossed else None
         if kink is not None:
             to, along = kink[2] * step, damped_step(*kink[:2], room, 0.0, widths)
             if _gain(norm, error + J @ along) <= solver.tolerance:
@@ -216,13 +215,15 @@ def _find_kink(here: Linear, step: FloatArray, there: Linear) -> tuple[FloatArra
     """Return residual and derivatives with a row that holds steps to a kink, and how far a refused step lies before it.
 
     Friction that begins to slip adds ``u max(n s - d, 0)`` to the residual of a step s, and ``u n`` to its derivatives.
+    None where the derivatives determine no step: the kink would choose what no row does.
     """
     (error, J), jump = here, there[1] - here[1]
     turned, missed = jump @ step, there[0] - error - J @ step
     square = float(turned @ turned)
     beyond = float(turned @ missed) / square if 0.0 < square < math.inf else 0.0  # of the step; half, if it is a curve
     unlike = np.linalg.norm(missed - beyond * turned)
-    if unlike > _SAME * np.linalg.norm(missed) or abs(beyond - 0.5) <= _SAME or not 0.0 < beyond <= 1.0 + _SAME:
+    shown = unlike <= _SAME * np.linalg.norm(missed) and abs(beyond - 0.5) > _SAME and 0.0 < beyond <= 1.0 + _SAME
+    if not shown or np.linalg.matrix_rank(J / column_norms(J)) < step.size:
         return None
     before, held = max(1.0 - beyond, 0.0), _HELD * float(np.linalg.norm(error))
     return np.append(error, -held * before), np.vstack([J, held / square * (turned @ jump)]), before
@@ -284,8 +285,7 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Float
 
 def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
     """Refuse columns (rows, parameters) of zeros; the sentence names the parameters."""
-    norms = np.linalg.norm(columns, axis=0)
-    idle = [name for name, norm in zip(names, norms, strict=True) if not norm > 0]
+    idle = [name for name, own in zip(names, columns.T, strict=True) if not np.linalg.norm(own) > 0]
     if idle:
         raise MethodError(
             f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
