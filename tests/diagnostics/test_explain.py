@@ -13,7 +13,7 @@ from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.explain import Case, explain_failure, find_causes, list_cases
 from jointid.diagnostics.model_free import find_plain_cause, find_steps, find_unexplained_share
-from jointid.estimation.problems.simulated import torque_problem
+from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
 from jointid.models.controllers import Cascade, FirstOrder, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -66,6 +66,17 @@ def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
     declared = Case(record, loop, ji.Filtering().resolve(axis("rigid").rate, "rigid"))
     tried = [one.factor for one in list_cases(declared) if one.change is not None and one.change.name == "sample_time"]
     assert tried == [0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0]
+
+
+def test_a_search_keeps_its_bound_and_says_that_it_left_cases_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, loop = BY_NAME["position_gain twice as large"].make(axis("rigid"), 1)
+    spent, bound, linearise = list[int](), 2_000_000, ClosedLoopProblem.linearise
+    monkeypatch.setattr(searching, "_PERIODS", bound)
+    monkeypatch.setattr(
+        ClosedLoopProblem, "linearise", lambda self, x: (spent.append(5_000 + self.axis.periods), linearise(self, x))[1]
+    )
+    assert find_causes(without_positions(record), loop).partly
+    assert 0.4 * bound < sum(spent) < 1.4 * bound
 
 
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:

@@ -109,11 +109,7 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     return FrequencyResponse(frequency, sides, np.abs(found), phase, unit, modes)
 
 
-def intervals(
-    estimate: Estimate,
-    record: Record,
-    quantities: Sequence[str] | None = None,
-) -> Profiles:
+def intervals(estimate: Estimate, record: Record, quantities: Sequence[str] | None = None) -> Profiles:
     """Profiles of an estimate by DIDIM, on its side of the transmission.
 
     Args:

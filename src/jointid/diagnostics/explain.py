@@ -4,7 +4,7 @@ Sensitivities show small deviations of one number (`search`). For a large one, a
 large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
 identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
-Of each case the two best starts are followed for a few steps; those far behind the best case are given up. A flexible
+Of each case the best start is followed for a few steps; those far behind the best case are given up. A flexible
 joint is first identified as rigid, far below its resonance; only the remaining cases are fitted to the whole band.
 
 The search assumes one mistake. A number may absorb much of two: so the residual of a cause must be about that of free
@@ -17,9 +17,9 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -56,8 +56,7 @@ from jointid.simulation.plant import DELAY
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
-_SAMPLES, _AS_LONG = 20_000_000, 5_000  # simulated in some 20 s of the processor, and beside those of one evaluation
-_ENOUGH = 1000  # evaluations of a case alone
+_PERIODS = 15_000_000  # of controllers, simulated with all derivatives in some 20 s of the processor
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
 _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong sample time spoils all of a fit
@@ -66,15 +65,16 @@ _MORE, _MORE_OF_POSITION = 1.15, 2.0
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
-_NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
+# Of the torque: so much that is no response to the reference may be another signal's, and so much is
+_NO_RESPONSE, _UNRELATED = 0.1, 0.95
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
 _MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
 _MUCH_LATER = 0.5  # periods
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
-_STARTS = 2  # of a case, that are followed
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
 _ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
+_AS_FAST, _FASTEST = 2, 5e-4  # times the log, and s of a period: a faster controller is simulated in the end only
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
 _LIGHTEST = 0.01  # of the rigid joint: inertia of a motor; a lighter one chatters in its loop
 _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
@@ -107,7 +107,7 @@ class Causes:
     @property
     def found(self) -> bool:
         """True if there is a cause to report, even the nearest only."""
-        return bool(self.explanations or self.nearest or self.plain)
+        return bool(self.explanations or self.nearest or self.plain or self.unexplained > _UNRELATED)
 
     @property
     def message(self) -> Message:
@@ -130,8 +130,12 @@ class Causes:
             values = {"nearest": self.nearest.name, "error": self.nearest.left}
             clause += f": the nearest is that {self.nearest.words}, which leaves {number(100 * self.nearest.left, 2)} %"
         if self.unexplained > _NO_RESPONSE:
-            clause += f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check "
-            clause += "which column is the torque, and declare a signal that is injected (channel injected)"
+            said = f"{number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check which "
+            said += "column is the torque, and declare a signal that is injected (channel injected)"
+            clause += f"; {said}"
+            if self.unexplained > _UNRELATED:
+                causes = [{"cause": "torque_column", "value": None, "error": self.unexplained}]
+                return Message(Reason.CAUSE_FOUND, said, {"causes": causes, "declared_error": declared}, said)
         if self.partly:
             clause += "; the record is too long to try each of them to its end: diagnose a part of it (record.stop)"
         return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
@@ -141,10 +145,7 @@ class Causes:
 
 
 def explain_misfit(
-    estimate: Estimate,
-    record: Record,
-    findings: Sequence[Finding] | None,
-    progress: Progress = ignore_progress,
+    estimate: Estimate, record: Record, findings: Sequence[Finding] | None, progress: Progress = ignore_progress
 ) -> Causes | None:
     """Find causes of a misfit; None without a misfit or near cause.
 
@@ -156,7 +157,7 @@ def explain_misfit(
     poor = gross or error > _SUSPICIOUS
     if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
         # Far below its resonance a flexible joint is rigid: its spring causes no misfit there, and no other gain.
-        for one in fit_rigid([Case(record, loop, estimate.settings.filtering)], _ENOUGH):
+        for one in fit_rigid([Case(record, loop, estimate.settings.filtering)])[0]:
             tests = SolvedLoop(one.problem, one.x).tests
             gains = (test for test in tests if test.p_value <= LEVEL and test.fault.measure != "ms")
             poor = one.error > _SUSPICIOUS or any(_is_gross(test, estimate.data.sample_time) for test in gains)
@@ -186,15 +187,9 @@ def _is_gross(one: FaultTest, period: float) -> bool:
 
 
 def find_failure_causes(
-    record: Record,
-    loop: ClosedLoop | None,
-    free: Sequence[str] = (),
-    progress: Progress = ignore_progress,
+    record: Record, loop: ClosedLoop | None, free: Sequence[str] = (), progress: Progress = ignore_progress
 ) -> Causes | None:
-    """Causes of a failed identification, from a part of a long record.
-
-    None without a loop, or where the search fails.
-    """
+    """Causes of a failed identification; None without a loop or a search."""
     if loop is None or any(getattr(record, name) is None for name in loop.channels) or any(still_faults(record)):
         return None
     try:
@@ -255,20 +250,24 @@ def find_causes(
         free = [row.name for row in estimate.rows if row.name in names and not row.of_joint]
     declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
     declared = replace(declared, filtering=filtering.resolve(declared.torque.sample_time, loop.joint.model))
+    posed = _pose(declared, loop)
+    responses = 0.0 if posed is None else find_unexplained_share(posed, declared.reference.values)
+    if responses > _UNRELATED:
+        return Causes(left, unexplained=responses)
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
 
-    most = _SAMPLES // (_AS_LONG + len(declared.torque))
-    fits = fit_rigid(tried, most)
+    fits, partly = fit_rigid(tried)
     if loop.joint.model == "flexible":
-        near = (one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY))
-        fits = _race([_list_flexible_starts(one) for one in near], most)
+        near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
+        fits, left_out = _race([_list_flexible_starts(one) for one in near])
+        partly |= left_out
     as_declared = [fit for fit in fits if fit.case.change is None]
     left = min((left, *(fit.error for fit in as_declared)))
-    problem, case = (fits[0].problem, fits[0].case) if fits else (_pose(declared, loop), declared)
-    # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
-    memory = MEMORY if case.free else MEMORY * max(case.factor or 1.0, 1.0)
-    responses = 0.0 if problem is None else find_unexplained_share(problem, case.reference.values, memory)
+    for fit in fits[:1]:
+        # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
+        memory = MEMORY if fit.case.free else MEMORY * max(fit.case.factor or 1.0, 1.0)
+        responses = find_unexplained_share(fit.problem, fit.case.reference.values, memory)
     candidates = [
         replace(cause, left=fit.error)
         for fit in fits
@@ -279,7 +278,7 @@ def find_causes(
         candidates += _judge_motion(declared, loop.joint)
         least = min((one.left for one in candidates), default=math.inf)
         for fit in as_declared if least > _TWICE * responses else ():
-            candidates += (one for one in _judge_mode(fit, loop.joint, most) if one.left * _TWICE <= least)
+            candidates += (one for one in _judge_mode(fit, loop.joint) if one.left * _TWICE <= least)
     explaining = _explaining(sorted(candidates, key=lambda one: one.left), left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
@@ -287,8 +286,8 @@ def find_causes(
     more = best and best.left > (min(times * responses, _FITS) if responses > 0 else _FITS)
     solved = next((one for one in fits if best and not more and one.error == best.left and one.case.change), None)
     if solved is not None:
-        more = any(one.p_value <= LEVEL and not one.possible for one in SolvedLoop(solved.problem, solved.x).tests)
-    partly = most < 4 * _FEW * len(tried)
+        likeliest = SolvedLoop(solved.problem, solved.x).tests[:1]
+        more = any(one.p_value <= LEVEL and not one.possible for one in likeliest)
     return Causes(left, () if more else explaining, best if more else None, responses, partly=partly)
 
 
@@ -338,10 +337,10 @@ def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
         yield Cause("reference_is_position", "the channel given as the reference is the motor's position", left=left)
 
 
-def _judge_mode(rigid: Fit, joint: RigidJoint, most: int) -> Iterator[Cause]:
+def _judge_mode(rigid: Fit, joint: RigidJoint) -> Iterator[Cause]:
     """Yield a mode in the record of a rigid joint, if any."""
     case = replace(rigid.case, loop=replace(rigid.case.loop, joint=joint.flexible))
-    for fit in _race([_list_flexible_starts(replace(rigid, case=case))], most):
+    for fit in _race([_list_flexible_starts(replace(rigid, case=case))])[0]:
         mode = joint.flexible.frequencies(fit.problem.values(fit.x))["free_free"]
         words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
         yield Cause("flexible", words, mode, fit.error)
@@ -352,12 +351,13 @@ def _judge_mode(rigid: Fit, joint: RigidJoint, most: int) -> Iterator[Cause]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Solution of a case: problem, parameters, and residual share of the torque."""
+    """Solution of a case: problem, parameters, residual share of the torque, and evaluations of its descents."""
 
     case: Case
     problem: ClosedLoopProblem
     x: FloatArray
     error: float = math.inf
+    evaluations: int = 0
 
     @property
     def number(self) -> float | None:
@@ -372,6 +372,13 @@ class Fit:
             left = np.linalg.norm(self.problem.residual(self.x)) / self.problem.size
         return replace(self, error=float(left) if math.isfinite(left) else math.inf)
 
+    def exact(self) -> Fit:
+        """The start under its controller at that one's own period."""
+        law: Any = self.problem.loop.controller
+        if (own := getattr(self.case.controller, "period", None)) == getattr(law, "period", None):
+            return self
+        return replace(self, problem=self.problem.under(replace(law, period=own), self.case.record))
+
     def descend(self, evaluations: int) -> Fit | None:
         """Return the fit after a limited descent; None if it fails."""
         try:
@@ -380,40 +387,45 @@ class Fit:
         except FAILS:  # a loop that runs away, or a part of the law that vanishes
             return None
         error = float(np.linalg.norm(solution.residual)) / self.problem.size
-        return replace(self, x=solution.x, error=error) if error < _ASTRAY else None
+        used = self.evaluations + solution.evaluations
+        return replace(self, x=solution.x, error=error, evaluations=used) if error < _ASTRAY else None
 
 
-def fit_rigid(tried: Sequence[Case], most: int) -> list[Fit]:
+def fit_rigid(tried: Sequence[Case]) -> tuple[list[Fit], bool]:
     """Fit each case with a rigid joint, a flexible one far below its resonance; see `_race`."""
     loss = _ROUGHLY if tried[0].loop.joint.model == "flexible" else 0.0
-    return _race([_list_rigid_starts(one) for one in tried], most, loss)
+    return _race([_list_rigid_starts(one) for one in tried], loss)
 
 
-def _race(starts: Sequence[Iterator[Fit]], most: int, loss: float = 0.0) -> list[Fit]:
-    """Solutions of the cases in some `most` evaluations, best first; poor ones are dropped early.
+def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> tuple[list[Fit], bool]:
+    """Solutions of the cases, best first, and whether the bound left a case out; poor ones are dropped early.
 
-    The best start of each case is followed before any second one. Cases within the share `loss` of the best are kept.
+    The best start of each case is followed. Cases within the share `loss` of the best are kept.
     """
     listed = in_threads(list, starts)
-    step = 1 + sum(map(len, listed)) // most
+    step = 1 + int(sum(fit.problem.axis.periods for own in listed for fit in own) / _PERIODS)
     begun = in_threads(Fit.begin, [fit for own in listed for fit in own[::step]])
-    tried = _in_turn(fit for fit in begun if fit.error < _ASTRAY)
-    followed = in_threads(lambda fit: fit.descend(_FEW), tried[: most // (2 * _FEW)])
-    fits = _in_turn(filter(None, followed))
-    bound = max(_BEHIND * fits[0].error, fits[0].error + loss) if fits else 0.0
-    for k, fit in enumerate(fits[: max(most // (2 * _TO_ITS_END), _STARTS)]):
-        if fit.error <= bound:  # to its minimum, where its number can be stated
-            fits[k] = fit.descend(_TO_ITS_END) or fit
-    return _in_turn(fits, 1)
+    tried = _best_of_each(fit for fit in begun if fit.error < _ASTRAY)
+    spent = itertools.accumulate(_FEW * fit.problem.axis.periods for fit in tried)
+    followed = [fit for fit, periods in zip(tried, spent, strict=True) if periods <= _PERIODS / 2]
+    fits, used = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW), followed))), 0
+    least = fits[0].error if fits else 0.0
+    for k, fit in enumerate(fits):
+        if fit.error <= max(_BEHIND * least, least + loss) and used <= _PERIODS / 2:
+            # To its minimum, where its number can be stated.
+            begin = fit if loss else fit.exact()
+            fits[k] = begin.descend(_TO_ITS_END) or fit
+            used += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
+            least = min(least, fits[k].error)
+    return _best_of_each(fits), len(followed) < len(tried)
 
 
-def _in_turn(fits: Iterable[Fit], each: int = _STARTS) -> list[Fit]:
-    """Sort by residual the best fit of each case, then the second ones."""
-    cases = defaultdict[int, list[Fit]](list)
+def _best_of_each(fits: Iterable[Fit]) -> list[Fit]:
+    """Fit of each case with the least residual, the best first."""
+    cases = dict[int, Fit]()
     for fit in sorted(fits, key=lambda fit: fit.error):
-        cases[id(fit.case)].append(fit)
-    rows = itertools.islice(itertools.zip_longest(*cases.values()), each)
-    return [fit for row in rows for fit in row if fit is not None]
+        cases.setdefault(id(fit.case), fit)
+    return [*cases.values()]
 
 
 def _list_rigid_starts(case: Case) -> Iterator[Fit]:
@@ -442,23 +454,26 @@ def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
 def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
     """Yield a start, at several delays if free."""
     undeclared = any(p.name == DELAY and p.free and not p.start for p in problem.parameters)
-    started = {p.name: p.start or 0.0 for p in problem.parameters if p.name == case.free}
+    started = {p.name: p.start or 0.0 for p in problem.parameters if p.name in (case.free, *case.beside)}
     for late in ({DELAY: late} for late in DELAYS) if undeclared else ({},):
-        yield Fit(case, problem, problem.vector({**values, **late, **started}))
+        yield Fit(case, problem, problem.vector({**values, **started, **late}))
 
 
 def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProblem | None:
     """Problem of a case with its number free, or None."""
     around = [one for one in case.beside if one in OF_LOG or one in numbers_of(loop.controller)]
-    filtering = case.filtering
+    filtering, log = case.filtering, case.torque.sample_time
+    if case.period < (slower := log / math.ceil(max(_AS_FAST, log / _FASTEST))):
+        law: Any = loop.controller
+        loop = replace(loop, controller=replace(law, period=slower))
     if low and isinstance(loop.joint, FlexibleJoint):
         loop = replace(loop, joint=loop.joint.rigid)
-        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(case.torque.sample_time)
+        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(log)
     try:
         problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)
         problem = problem.keeping({"initial_velocity": 0.0}).freeing(*around, *filter(None, [case.free]))
     except JointidError:
         return None
-    own = ((p, p.start or 0.0) for p in problem.parameters if p.name == case.free)
+    own = ((p, p.start or 0.0) for p in problem.parameters if p.name == case.free and p.symbol != "frequency")
     wide = {p.name: replace(p, lower=1e-4 * start, upper=1e4 * start) for p, start in own}
     return problem.replace_parameters(wide)

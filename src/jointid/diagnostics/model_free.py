@@ -387,14 +387,7 @@ def excludes(record: Record, loop: ClosedLoop, controller: Controller, late: flo
 
     The difference of logged and law's torque is regressed on the change by the other law or log. The coefficient is 0
     as declared and 1 with the change; below a quarter it is excluded. The initial value of the integral and a constant
-    torque are free.
-
-    Args:
-        record: as of `compare_law`.
-        loop: as declared, which holds.
-        controller: the other law.
-        late: delay of the log, s.
-        gain: of the log, less 1.
+    torque are free. Of the log are `late`, its delay in s, and `gain`, less 1.
     """
     own, other = _follow(record, loop), _follow(record, replace(loop, controller=controller))
     if own is None or other is None or record.torque is None:

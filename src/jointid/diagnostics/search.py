@@ -430,11 +430,7 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
     and that of most of its blocks are far above that of the rest. A run at the beginning is none: a wrong model of the
     first motion is seen there. The fit follows the part, and so errs elsewhere: it is made again without the part.
 
-    Args:
-        residual: (rows,) of all axes, each in the order of time.
-        basis: (rows, columns) orthonormal, of the columns of all parameters.
-        time: (rows,) s, by the log's own clock.
-        rows: of the axis.
+    Residual, orthonormal `basis` of all parameters' columns, and time are of the rows of all axes; `rows` of one.
     """
     own = time[rows]
     size = own.size // _BLOCKS

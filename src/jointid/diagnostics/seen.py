@@ -116,10 +116,7 @@ class Seen:
         The joint is simulated with the law, as a large change has effects of higher order, and the joint's parameters
         absorb a part of it. A derivative does not show the second mode of a joint with one mode.
 
-        Args:
-            values: of the parameters that differ from the joint's; if one of them is fixed, the result is None.
-            size: of the laws' change.
-            laws: in the place of the joint's spring and friction.
+        If one of the `values` that differ from the joint's is fixed, the result is None.
         """
         assert self.loop is not None
         problem = self.loop[0]
