@@ -70,7 +70,6 @@ SPOILED: dict[str, tuple[Callable[[str], Told], set[str], set[str]]] = {
 def told(record: Record, loop: ClosedLoop) -> Diagnosis:
     found = diagnose(record, loop)
     assert not found.healthy
-    assert len(str(found).splitlines()) < 100  # with the diagnosis
     return found
 
 

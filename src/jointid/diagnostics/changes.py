@@ -25,7 +25,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.diagnostics.suspects import REFERENCE_DELAY, TORQUE_FILTER, Fault, OtherLaw, name_number
-from jointid.models.controllers import PD, FirstOrder, numbers_of, unit_of_number, with_numbers, with_present_sample
+from jointid.models.controllers import PD, numbers_of, unit_of_number, with_numbers, with_present_sample
+from jointid.models.controllers.filters import FirstOrder, Notch
 from jointid.models.controllers.servo_base import Interpolation
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
@@ -38,6 +39,7 @@ _INTEGRALS = (1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1e3)  # times a declared g
 _MINUTE = 60.0  # s: a gain is given in 1/s, or in 1/min
 _NEW_INTEGRALS = (1.0, 10.0, 100.0)  # 1/s, of what they act beside, where none is declared
 _LATE = (1.0, 3.0, 8.0)  # periods of a delay or a filter
+_NOTCHES = (0.025, 0.05, 0.1, 0.2)  # of the log's frequency: centres of a notch
 _TIMES = (0.1, 0.125, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0)  # times the sample time: rates that drives log at
 _FACTORS = tuple(10 ** (k / 3) for k in range(-18, 19))  # of the loop's gain: also of the square of a gear's ratio
 _SCALES = tuple(10 ** (k / 2) for k in range(-8, 9))  # of the torque, beside an injected signal
@@ -179,9 +181,7 @@ def _try_number(name: str, times: Sequence[float], case: Case) -> Iterator[Case]
 def _try_integral(case: Case) -> Iterator[Case]:
     numbers = case.numbers
     yield from _try_number("integral_gain", _INTEGRALS, case)
-    if numbers.get("integral_gain"):
-        yield case.under(integral_gain=0.0)
-    elif "integral_gain" in numbers:
+    if numbers.get("integral_gain") == 0.0:
         unit = 1.0 if "velocity_gain" in numbers else numbers["position_gain"]
         yield case.at("integral_gain", (one * unit for one in _NEW_INTEGRALS))
 
@@ -202,10 +202,14 @@ def _try_filter(name: str, case: Case) -> Iterator[Case]:
     law, first, late = case.controller, FirstOrder(case.period), [one * case.period for one in _LATE]
     if name == "velocity_filter" and hasattr(law, name):
         yield case.under(replace(law, velocity_filter=first)).at(_TIME, late)
-        yield case.under(replace(law, velocity_filter=(1.0,)))
     elif name == "torque_filter" and hasattr(law, "torque_filters"):
         more = replace(law, torque_filters=(first, *law.torque_filters))
         yield case.under(more).at("torque_filters.0.time_constant", late)
+    elif name == "notch" and hasattr(law, "torque_filters"):
+        each = [share / case.torque.sample_time for share in _NOTCHES]
+        more = replace(law, torque_filters=(Notch(each[0], each[0]), *law.torque_filters))
+        free = (*case.beside, "torque_filters.0.bandwidth")
+        yield replace(case, beside=free).under(more).at("torque_filters.0.frequency", each)
 
 
 def _try_feedforward(case: Case) -> Iterator[Case]:
@@ -291,7 +295,7 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
     geared = " (as by a gear that is not declared)" if gear is None else " (as by another gear)"
     reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}{geared}'}", 1 / factor)]
     law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
-    for causes in (reference, torque, law) if unit else (torque, law, reference):
+    for causes in (reference, torque, law) if unit else (law, torque, reference):
         if case.record.injected is None or (causes is torque) is of_torque:
             yield from causes
 
@@ -311,8 +315,6 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iter
         unit = unit_of_number(case.controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
         return f"{number(value, 3) if value else 0} {unit}".rstrip()
 
-    if value is None and "{shown}" in clause:
-        clause = f"the declared {name_number(name)} is not there"
     declared = case.numbers.get(name, 0.0)
     if name == "position_gain" and value and declared / value > 1.0 and _is(declared / value, _MINUTE):
         clause += ": it is given in 1/min, as its values tell"
@@ -345,6 +347,10 @@ CHANGES = (
     _row(
         "torque_filter", partial(_try_filter, "torque_filter"),
         "there is one more torque filter, such as one of first order with {shown}",
+    ),
+    Change(
+        "notch", partial(_try_filter, "notch"),
+        lambda value, _: [Cause("notch", f"the torque passes a notch near {number(value or 0.0, 2)} Hz", value)],
     ),
     _row(
         "velocity_feedforward", _try_feedforward,
@@ -401,11 +407,7 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
     The effect of the first law shows whether the record can distinguish it. Cubics matter to a law that
     differentiates the reference: lines delay the velocity by half a sample.
 
-    Args:
-        law: as declared.
-        record: whose reference it reads.
-        log: sample time of the torque, s.
-        period: of the law, s.
+    `log` is the sample time of the torque, and `period` that of the law, s.
     """
     assert record.reference is not None
     for way in _list_other_ways(law, record, period):
