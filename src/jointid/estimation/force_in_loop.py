@@ -160,7 +160,7 @@ def simulate_with_force(
         extra = np.zeros(driven.after_limit.size)
         held = np.repeat(added, driven.clock.skips)[:: driven.clock.shows][: extra.size]
         extra[: held.size] = held
-        return replace(driven, after_limit=driven.after_limit + extra)
+        return driven.pushed(extra)
 
     for _ in range(draws):
         pushed = force.draw(samples, problem.sample_time, random)

@@ -62,7 +62,8 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
         some = keys[first : first + wide]
         filled, last = (*some, *[_NOBODY] * (wide - len(some))), first + len(some)
         begun = start_slopes(experiment, kept.carried, kept.start, filled)
-        explicit = [(c, key.axis, *_explicit(kept, key)) for c, key in enumerate(some) if _is_of_law(kept, key)]
+        of_law = [c for c, key in enumerate(some) if key not in kept.numbers and key.name not in (*INITIAL, DELAY)]
+        explicit = [(c, some[c].axis, *_explicit(kept, some[c])) for c in of_law]
         command, states = _follow(kept, filled, begun, explicit, positions)
         for j, (torque, each) in enumerate(zip(torques, command, strict=True)):
             torque[:, first:last] = _show(kept, j, each[:, : len(some)], some)
@@ -120,10 +121,6 @@ def _show(kept: Run, j: int, command: FloatArray, keys: Sequence[Place]) -> Floa
         torque = acting(axis, clock.own(j, kept.command[j], axis.periods) + axis.shown)
         logged[:, late] += averages(axis, -np.diff(torque, prepend=kept.start.before[j]))[:, np.newaxis]
     return logged[: clock.samples]
-
-
-def _is_of_law(kept: Run, key: Place) -> bool:
-    return not (key in kept.numbers or key.name in (*INITIAL, DELAY))
 
 
 def _follow(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -128,7 +129,6 @@ class AxisInput:
         driven: (periods, states) further inputs of the feedback's states, used if the response would diverge, as of an
             integrator; else (0, states).
         state: (states,) of the feedback at the first period, without the part of the position.
-        far: distance from the initial motor position beyond which a loop has diverged.
     """
 
     controller: Controller
@@ -148,7 +148,6 @@ class AxisInput:
     feedforward: FloatArray = field(init=False)
     driven: FloatArray = field(init=False)
     state: FloatArray = field(init=False)
-    far: float = field(init=False)
 
     def __post_init__(self) -> None:
         law, inputs = self.law, self.inputs
@@ -162,8 +161,7 @@ class AxisInput:
             state = np.zeros(feedback.order)
         memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
         clock = Clock.of([law], law.period, len(inputs), self.sample_time, self.samples)
-        far = _far(law, feedforward[law.output], self.after_limit)
-        made = (clock, feedback, feedback.integral(), memory, feedforward, driven, state, far)
+        made = (clock, feedback, feedback.integral(), memory, feedforward, driven, state)
         for one, value in zip((one for one in fields(self) if not one.init), made, strict=True):
             object.__setattr__(self, one.name, value)
 
@@ -190,6 +188,12 @@ class AxisInput:
         law = self.feedback
         return np.asarray(law.C[0, law.output] @ self.memory + np.array([law.D[0, law.output, POSITION], 0.0]))
 
+    def pushed(self, torque: FloatArray) -> AxisInput:
+        """The same inputs with a further torque behind the limit, (periods,)."""
+        found = copy(self)
+        object.__setattr__(found, "after_limit", self.after_limit + torque)
+        return found
+
     def law_of(self, controller: Controller) -> SampledLaw:
         """Law of a controller with its phase relative to the record's file."""
         return shift_start(controller, self.begin).law(self.sample_time)
@@ -206,6 +210,7 @@ class LoopInput:
         tree: of the links (`models.robots.equations`), None of a joint.
         speeds, accelerations: (n,) of the shafts at the first sample of a robot.
         payload: (10,) inertial parameters of a known payload on the last link, or ().
+        far: (n,) distance from each initial motor position beyond which a loop has diverged.
     """
 
     axes: tuple[AxisInput, ...]
@@ -216,6 +221,7 @@ class LoopInput:
     names: tuple[str, ...] = ("",)
     clock: Clock = field(init=False)
     sampled: SampledLoop = field(init=False)
+    far: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
         clock = _share_clock(self.axes, self.names)
@@ -223,6 +229,7 @@ class LoopInput:
         sampled = SampledLoop(clock.lengths, clock.lags, clock.every, **_pack_laws(self.axes), post=post)
         object.__setattr__(self, "clock", clock)
         object.__setattr__(self, "sampled", sampled)
+        object.__setattr__(self, "far", np.array([_far(each) for each in self.axes]))
 
     @property
     def axis(self) -> AxisInput:
@@ -398,14 +405,14 @@ def _fill_up(arrays: Sequence[NDArray[Any]], beyond: float = 0.0, least: tuple[i
     return whole
 
 
-def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> float:
+def _far(axis: AxisInput) -> float:
     # Of a fast loop most of the gain within a period is that of the velocity, and holds no position.
-    slowly = float(abs(law.feedback(np.array([_SLOWLY / law.period]))[0]))
-    gain = min(law.stiffness, slowly)
+    law = axis.law
+    gain = min(law.stiffness, float(abs(law.feedback(np.array([_SLOWLY / law.period]))[0])))
     if not gain > 0.0:
         return math.inf
-    asked = feedforward / gain
-    travel = float(np.ptp(asked) + np.max(np.abs(after_limit)) / gain)
+    asked = axis.feedforward[law.output] / gain
+    travel = float(np.ptp(asked) + np.max(np.abs(axis.after_limit)) / gain)
     return float(np.max(np.abs(asked))) + _FAR * travel + 1e-9
 
 

@@ -178,7 +178,7 @@ def run_loop(
         none, counts = np.zeros((n, 0, elements)), np.zeros(4, np.int64)
         nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), NO_PATH, counts
         return Run(experiment, numbers, plant, nowhere, outcome, *nothing)
-    far = np.array([each.far for each in experiment.axes]) + np.abs(start.places[numbers.motors])
+    far = experiment.far + np.abs(start.places[numbers.motors])
     outcome, command, excess, tape, path, counts = integrate(
         plant, experiment.tree, carried.inertials, experiment.sampled, start.before, far, start.states, start.places,
         start.speeds, start.wound, keep=keep, straight=numbers.straight, steps=taken, room=room,
@@ -262,26 +262,20 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
         held = np.tile(run.start.places, (parts.size, 1))
         return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
     at = np.minimum(parts, done - 1)
-    if run.path.straight:
-        return _motion_of_lines(run, at, masses)
+    if run.path.straight:  # accelerations are those just after torques change
+        post, path = run.experiment.sampled.post[0], run.path
+        states, mode = np.take(path.states, at, 0), path.modes[at].astype(np.int64)
+        source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]
+        torque = np.where(source >= 0, (run.command[0] + post)[np.maximum(source, 0)], run.start.before[0])
+        inputs = np.stack([states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, np.ones(at.size)])
+        acceleration = np.einsum("kij,jk->ki", np.take(path.rates, mode, 0)[:, :masses], inputs)
+        way = mode[:, np.newaxis] // np.array([3, 1])[:masses] % 3 - 1.0  # of 9 modes each
+        return MassMotion(states[:, ::2][:, :masses], states[:, 1::2][:, :masses], acceleration, way)
     position, velocity, acceleration, modes = (values[at] for values in motion_of(run.tape, masses, done))
     found = MassMotion(position, velocity, acceleration, np.where(modes == FREE, np.sign(velocity), modes))
     for values in found[:3]:
         np.nan_to_num(values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return found
-
-
-def _motion_of_lines(run: Run, at: IntArray, masses: int) -> MassMotion:
-    """Motion of a piecewise linear joint; accelerations just after torque changes."""
-    clock, post, path = run.experiment.clock, run.experiment.sampled.post[0], run.path
-    states, modes = path.states[at], path.modes[at].astype(np.int64)
-    source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]
-    held = np.maximum(source, 0)
-    torque = np.where(source >= 0, run.command[0, held] + post[held], run.start.before[0])
-    inputs = states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, 1.0
-    sums = (sum(path.rates[modes, i, j] * x for j, x in enumerate(inputs)) for i in range(masses))
-    way = modes[:, np.newaxis] // np.array([3, 1])[:masses] % 3 - 1.0  # of 9 modes each
-    return MassMotion(states[:, ::2][:, :masses], states[:, 1::2][:, :masses], np.stack([*sums], axis=1), way)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

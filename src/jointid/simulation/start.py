@@ -190,7 +190,7 @@ class Steady:
                 by_key[:-n, c] = 1.0
             elif both := self._moved(key) if moves or key.name == INITIAL[1] else None:
                 by_key[:, c] = (both[1].balance(at) - both[0].balance(at)) / both[2]
-        if not np.any(by_key):
+        if not np.any(by_key) or (self.tree is None and not numbers.joints[0].forces):
             return by_key[n:-n], by_key[-n:]
         by_links = self._by_links(at)
         moved = by_key + by_links @ np.linalg.solve(np.eye(n) - by_links[:n], by_key[:n])
