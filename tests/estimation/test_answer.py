@@ -108,6 +108,8 @@ def test_the_answer_is_a_value_with_its_interval() -> None:
     assert str(answer) == "Inertia 94.90 ± 0.92 kg. You can rely on it."
     assert (answer.found.code, answer.found.values["value"]) == ("value", 94.9034)
     assert answer.found.values["two_sigma"] == 0.92
+    said = replace(RIGID, checks=(Check(Reason.SPRING_NOT_LINEAR, "soft", name=Subject.LOOP, passed=False),)).summary()
+    assert "mechanics" in said and "loop" not in said
     mode = judged(flexible()).answer.found.values["mode_hz"]
     assert mode == pytest.approx(np.sqrt(17467.0 * 4) / (2 * np.pi))
 

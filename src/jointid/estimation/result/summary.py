@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Facts, Table, Text, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.result.agreement import Alone
-from jointid.estimation.result.verdict import Subject, moved_by_loop, told_bounds
+from jointid.estimation.result.verdict import OF_MECHANICS, Subject, moved_by_loop, told_bounds
 from jointid.models.robots.robot import Robot
 from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import INTERVAL
@@ -40,10 +40,11 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
     for name, found in groupby(estimate.checks, key=lambda check: check.name):
         first, *others = found
         brief = first.brief + f" (and {len(others)} more in the report)" * bool(others)
-        listed.append((str(name), first.passed, "\n".join(one.words for one in (first, *others)) if details else brief))
+        asked = "mechanics" if first.code in OF_MECHANICS else str(name)
+        listed.append((asked, first.passed, "\n".join(one.words for one in (first, *others)) if details else brief))
     passed = [good for _, good, _ in listed]
     listed = [row for row in listed if details or not (row[1] or row[0] == Subject.WHITENESS)]
-    listed.sort(key=lambda row: row[0] != Subject.LOOP)
+    listed.sort(key=lambda row: row[0] not in (Subject.LOOP, "mechanics"))
     notes = [] if passed and not details else [("note", note) for note in estimate.notes]
     blocks = (
         *_tables(estimate, details=details),

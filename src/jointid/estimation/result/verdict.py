@@ -279,7 +279,7 @@ def scale_check(known: Sequence[str], lost: Sequence[str] = (), *, identified: b
 # Whether to rely on the answer
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia", "inertia@1")  # the first that is free is the answer
-_OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
+OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_VALUES = (Subject.BOUNDS, Subject.AGREEMENT, Subject.DRIFT, Subject.ENCODERS)  # speak against what they name
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 _KNOWN = 0.1  # relative standard error of a robot's parameter that counts as known
@@ -435,7 +435,7 @@ def _speak_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iter
         yield from (one for one in loop[1:2] if "suspect" in one.values and not refused)
     elif name in ("stiffness", "damping"):
         # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
-        yield from (one for one in loop if one.code in _OF_MECHANICS)
+        yield from (one for one in loop if one.code in OF_MECHANICS)
     if refused:
         return
     for one in estimate.checks:
