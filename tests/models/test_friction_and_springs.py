@@ -29,7 +29,7 @@ def values_of(law: Friction) -> dict[str, float]:
     sizes = {"viscous": 20.0, "coulomb": 10.0}
     friction = {c.name: sizes[c.part] * (1.0 + 0.1 * i) for i, c in enumerate(law.coefficients)}
     friction |= {p.name: MORE[p.name] for p in law.parameters() if p.name not in friction}
-    offset = 1.5 if law.offset_identifiable else 0.0
+    offset = 0.0 if law.two_ways else 1.5
     return {"inertia": 5.0, **friction, "offset": offset}
 
 
@@ -57,8 +57,8 @@ def test_an_offset_is_identifiable_unless_the_law_spans_it(law: Friction) -> Non
     velocity = np.array([-2.0, -1.0, 1.0, 2.0])
     X = law.columns(velocity)
     both = np.column_stack([X, np.ones(4)])
-    assert law.offset_identifiable == (np.linalg.matrix_rank(both) > np.linalg.matrix_rank(X))
-    if not law.offset_identifiable:
+    assert law.two_ways != (np.linalg.matrix_rank(both) > np.linalg.matrix_rank(X))
+    if law.two_ways:
         weights = law.constant()
         np.testing.assert_array_equal(X @ [2 * weights.get(p.name, 0.0) for p in law.lines.parameters()], 1.0)
 

@@ -44,21 +44,21 @@ class _Motion:
         self.pieces = [0] * len(self.springs)  # of each spring, negative for negative deflections
         for s, (one, two) in enumerate(self.pairs):
             e = place[two] - place[one]
-            self.pieces[s] = int(math.copysign(sum(abs(e) > row[6] for row in self.springs[s][1:]), e))
+            self.pieces[s] = int(math.copysign(sum(abs(e) > row[5] for row in self.springs[s][1:]), e))
 
     def springs_at(self, y: list[float]) -> list[float]:
         """Return the torques of the springs."""
         n, found = self.size, []
         for s, (one, two) in enumerate(self.pairs):
             e, de, piece = y[two] - y[one], y[n + two] - y[n + one], self.pieces[s]
-            k, damping, cubic, slips, _, held, _ = self.springs[s][abs(piece)]
+            k, damping, cubic, slips, held, *_ = self.springs[s][abs(piece)]
             found.append(float(np.sign(piece)) * held + k * e + cubic * e**3 + damping * de + slips * y[3 * n + s])
         return found
 
     def room(self, s: int, y: FloatArray) -> tuple[float, float]:
         """Return how far a deflection is above and below the ends of its piece."""
         (one, two), piece = self.pairs[s], self.pieces[s]
-        begins = [*(row[6] for row in self.springs[s]), math.inf]
+        begins = [*(row[5] for row in self.springs[s]), math.inf]
         low, high = begins[abs(piece)], begins[abs(piece) + 1]
         low, high = (low, high) if piece > 0 else (-high, -low if piece < 0 else high)
         return float(y[two] - y[one]) - low, high - float(y[two] - y[one])
@@ -139,7 +139,7 @@ class _Motion:
             rates[i] = (v[i] - abs(v[i]) * y[2 * n + i]) * self.rows[i][0][6]
         for s, (one, two) in enumerate(self.pairs):
             de = v[two] - v[one]
-            rates[n + s] = (de - abs(de) * y[3 * n + s]) * self.springs[s][0][4]
+            rates[n + s] = (de - abs(de) * y[3 * n + s]) * self.springs[s][0][6]
         return np.concatenate([v, a, rates])
 
     def guard(self, i: int) -> Any:

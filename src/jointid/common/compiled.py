@@ -48,10 +48,9 @@ class KernelCache(FunctionCache):
 
 _SOURCES = (
     "common/compiled.py",
-    "models/controllers/recurrence.py",
     "records/signals/sections.py",
     "simulation/kernels/*.py",
-    "models/robots/*.py",
+    "models/**/*.py",
 )
 """The modules of kernels and of their named-tuple arguments, whose fields they read by position."""
 

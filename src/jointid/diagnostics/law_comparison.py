@@ -245,7 +245,7 @@ def compare_laws(
     def identify(law: Any, band: Filtering) -> Solved:
         other = replace(joint, **{kind: law})
         names = {p.name for p in other.parameters}
-        if kind == "friction" and law.offset_identifiable != joint.friction.offset_identifiable:
+        if kind == "friction" and law.two_ways != joint.friction.two_ways:
             names -= {"offset"}  # it is a part of the Coulomb forces of one of both
         if kind == "spring" and law != joint.spring:
             names -= {p.name for p in (*law.parameters, *joint.spring.parameters)} - {"damping"}

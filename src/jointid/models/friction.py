@@ -1,7 +1,8 @@
 """Friction laws: lines over velocity for each direction, and additional terms.
 
 Being linear in the parameters of its lines lets a regression estimate them (`Friction.columns`). At standstill the
-Coulomb force is a set: any force within its bounds keeps the mass at rest. To add a term, write its row in `_TERMS`.
+Coulomb force is a set: any force within its bounds keeps the mass at rest. To add a term, write its row in `_TERMS`; if
+it changes how friction winds up, `wind_up`, too. Kernels compile that for complex numbers: use `way`, not ``abs(v)``.
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import compress, pairwise, product
-from typing import Literal, NamedTuple, TypeAlias
+from itertools import pairwise, product
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
@@ -126,10 +128,9 @@ _TERMS: Mapping[str, Term] = {
 }  # fmt: skip
 BESIDE = tuple(name for term in _TERMS.values() for name, *_ in term.parameters)
 """The numbers that a law may have beside its lines, by their names without a side's prefix."""
-_WORDS = [tuple(compress(("asymmetric", *_TERMS), some)) for some in product((False, True), repeat=1 + len(_TERMS))]
-_LAWS: Mapping[str, tuple[Term, ...]] = {
-    "-".join(words) or "symmetric": tuple(_TERMS[word] for word in words if word in _TERMS) for words in _WORDS
-}
+COLUMNS = {name: column for column, name in enumerate(BESIDE[2:], 6)}
+"""Of these in a mass's numbers (`simulation.kernels`), the first inverse; a Stribeck term is in its lines."""
+_WINDING = COLUMNS["presliding_distance"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,18 +164,19 @@ class Friction:
     name: str = "symmetric"
 
     def __post_init__(self) -> None:
-        if self.name not in _LAWS or "stribeck-presliding" in self.name:  # lines that wind up jump from band to band
+        whole = "-".join(word for word in ("asymmetric", *_TERMS) if word in self.name) or "symmetric"
+        if self.name != whole or "stribeck-presliding" in whole:  # lines that wind up jump from band to band
             raise MethodError(f'Friction "{self.name}" is not known; use {", ".join(FRICTIONS)}.')
 
     @property
     def two_ways(self) -> bool:
-        """True if the lines differ with the direction."""
+        """True if the lines differ with the direction: no offset is identifiable beside two Coulomb forces."""
         return self.name.startswith("asymmetric")
 
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """Terms of the law beside its lines."""
-        return _LAWS[self.name]
+    def terms(self, prefix: str = "") -> list[Term]:
+        """Terms of the law beside its lines; of "motor_" without those of a load."""
+        own = (term for word, term in _TERMS.items() if word in self.name)
+        return [term for term in own if not (term.of_load and prefix == "motor_")]
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -184,27 +186,22 @@ class Friction:
     @property
     def adds(self) -> str:
         """Terms of the law in words; "" of lines alone."""
-        return ", and ".join(term.adds for term in self.terms)
+        return ", and ".join(term.adds for term in self.terms())
 
     @property
     def instead(self) -> str:
         """Lines of the law in words, for where only lines are written."""
-        return ", ".join(term.instead for term in self.terms)
+        return ", ".join(term.instead for term in self.terms())
 
     @property
     def stepped(self) -> bool:
         """True if a simulation has more than lines over the speed."""
-        return any(term is not _TERMS["stribeck"] for term in self.terms)
-
-    @property
-    def offset_identifiable(self) -> bool:
-        """True if an offset is identifiable, which two Coulomb forces prevent."""
-        return not self.two_ways
+        return any(term is not _TERMS["stribeck"] for term in self.terms())
 
     @property
     def linear(self) -> bool:
         """True if linear in the parameters: one line per direction."""
-        return not self.terms
+        return not self.terms()
 
     @property
     def lines(self) -> Friction:
@@ -220,7 +217,7 @@ class Friction:
         )
         beside = (
             Parameter(f"{prefix}{name}", f"{symbol}{index}", what, lower=lower, upper=upper)
-            for term in self._terms_of(prefix)
+            for term in self.terms(prefix)
             for name, symbol, what, lower, upper in term.parameters
         )
         return (*lines, *beside)
@@ -244,7 +241,7 @@ class Friction:
 
     def beside(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
         """Numbers of the terms by unprefixed name; 0 for absent terms."""
-        own = [name for term in self._terms_of(prefix) for name, *_ in term.parameters]
+        own = [name for term in self.terms(prefix) for name, *_ in term.parameters]
         return dict.fromkeys(BESIDE, 0.0) | {name: values[f"{prefix}{name}"] for name in own}
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> list[tuple[float, Directions]]:
@@ -255,7 +252,7 @@ class Friction:
         viscous, viscous_back, coulomb, coulomb_back = whole = self.directions(values, prefix)
         found: list[tuple[float, Directions]] = []
         names = f"{prefix}stribeck_force", f"{prefix}stribeck_speed"
-        change, speed = (values[name] for name in names) if _TERMS["stribeck"] in self.terms else (0.0, 0.0)
+        change, speed = (values[name] for name in names) if _TERMS["stribeck"] in self.terms() else (0.0, 0.0)
         if change or speed:  # below no speed there is no change
             speed = speed or math.nan
             for (low, more), (high, less) in pairwise(KNOTS):
@@ -280,7 +277,7 @@ class Friction:
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield starting values of the parameters beside the lines."""
-        terms = self._terms_of(prefix)
+        terms = self.terms(prefix)
         names = [f"{prefix}{name}" for term in terms for name, *_ in term.parameters]
         for values in product(*(term.starts(motion) for term in terms)):
             yield dict(zip(names, (value for one in values for value in one), strict=True))
@@ -293,8 +290,11 @@ class Friction:
         """Weights of parameters for the constant force in the law, if any."""
         return {f"{prefix}{c.name}": 0.5 * c.way for c in self.coefficients if c.part == "coulomb" and c.way}
 
-    def _terms_of(self, prefix: str) -> list[Term]:
-        return [term for term in self.terms if not (term.of_load and prefix == "motor_")]
+
+def wind_up(numbers: NDArray[Any], i: int, way: float, v: Any, w: Any) -> tuple[Any, Any]:
+    """Rate of the share w of mass i's Coulomb force that acts, and its partial by w."""
+    rate = numbers[i, _WINDING] * v
+    return rate * (1.0 - way * w), -way * rate
 
 
 FRICTIONS: Mapping[str, Friction] = {

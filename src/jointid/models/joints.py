@@ -143,7 +143,7 @@ class _JointBase:
         The offset is fixed if another parameter is constant, too.
         """
         offset, gravity = Parameter("offset", "offset", Quantity.FORCE), self.gravity
-        identifiable = self.friction.offset_identifiable and (gravity is None or gravity.load != "constant")
+        identifiable = not self.friction.two_ways and (gravity is None or gravity.load != "constant")
         motor, *load = (
             (
                 Parameter(f"{side}inertia", f"ZZ{index}", Quantity.INERTIA, lower=_TINY),

@@ -108,7 +108,7 @@ class Gravity:
                 "A prismatic joint does not turn its load, so nothing of its gravity follows a cosine or a sine; use "
                 'load = "constant", or a revolute joint.'
             )
-        if self.load == "constant" and not friction.offset_identifiable:
+        if self.load == "constant" and friction.two_ways:
             raise MethodError(
                 f"A constant load cannot be distinguished from {friction.name} friction: it adds to the Coulomb force "
                 "forwards and takes as much from it backwards; use symmetric friction, or leave gravity out."

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
-from jointid.models.friction import BESIDE, Friction
+from jointid.models.friction import BESIDE, COLUMNS, Friction
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot, RobotJoint
 from jointid.models.springs import Spring
 from jointid.simulation import kernels
-from jointid.simulation.kernels import BEGIN, HIGH, Plant, Seeds
+from jointid.simulation.kernels import BEGIN, HIGH, MASS, Plant, Seeds
 
 AnyArray: TypeAlias = NDArray[Any]
 Bools: TypeAlias = NDArray[np.bool_]
@@ -176,7 +176,7 @@ class Numbers:
         springs = [spring for _, of in lowered for spring in of]
         carriers, motors = np.full(len(masses), -1), np.array(self.motors, dtype=np.uint64)
         carriers[[behind for _, behind in pairs]] = range(len(pairs))
-        whole, pieces = _stack([masses[row] for row in range(len(masses))], HIGH + 1), _stack(springs, BEGIN + 1)
+        whole, pieces = _stack([masses[row] for row in range(len(masses))], HIGH + 1), _stack(springs, MASS)
         for row, spring in zip(pieces, springs, strict=True):
             row[len(spring) :, BEGIN] = math.inf
         tied, places = np.array(pairs, dtype=np.uint64).reshape(-1, 2), self.joints[0].places(self.values[0])
@@ -196,12 +196,18 @@ class Numbers:
         # Lists: arrays of so few numbers take longer than a joint's simulation of a second.
         links = len(self.inertials)
         whole = [number for bands in plant.masses.tolist() for band in bands for number in band[:HIGH]]
-        whole += [number for pieces in plant.springs.tolist() for piece in pieces for number in piece[:BEGIN]]
+        whole += [
+            number
+            for pieces in plant.springs.tolist()
+            for piece in pieces
+            for number in piece[:BEGIN] + piece[BEGIN + 1 :]
+        ]
         if not all(map(math.isfinite, (*whole, *plant.places.flat, *self.inertials.flat))):
             return False
         for i, bands in enumerate(plant.masses.tolist()):
             rest, last = bands[0], bands[-1]
-            inertia, _, _, _, grip, grip_back, winds, _, drift, share, _ = rest
+            inertia, _, _, _, grip, grip_back, winds, *_ = rest
+            drift, share = rest[kernels.COULOMB_DRIFT], rest[kernels.PER_TORQUE]
             faded = min(grip, grip_back) + min(drift, 0.0) * duration
             cone = grip + grip_back >= 0.0 and (drift >= 0.0 or faded >= 0.0)
             mass = (i < links or inertia > 0.0) and winds >= 0.0 and 0.0 <= share < 1.0
@@ -209,7 +215,7 @@ class Numbers:
             if not (cone and mass and unsigned and all(a[HIGH] <= b[HIGH] for a, b in pairwise(bands))):
                 return False
         for pieces in plant.springs.tolist():
-            if min(min(*one[:2], *one[kernels.SLIPS : kernels.SLIDING + 1]) for one in pieces) < 0.0:
+            if min(min(*one[:2], one[kernels.SLIPS], one[kernels.WINDING]) for one in pieces) < 0.0:
                 return False
             if not all(a[BEGIN] <= b[BEGIN] for a, b in pairwise(pieces)):
                 return False
@@ -319,20 +325,20 @@ def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[AnyArray]
 def _lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], side: str) -> AnyArray:
     """Mass per friction band, (bands, MASS + 1); complex for complex values."""
     own = law.beside(values, side)
-    length, *beside = (own[n] for n in ("presliding_distance", "viscous_drift", "coulomb_drift", "friction_per_torque"))
+    length, *beside = (own[name] for name in COLUMNS)
     winds = 1.0 / length if length != 0.0 else 0.0
     return np.array([[inertia, offset, *lines, winds, *beside, high] for high, lines in law.bands(values, side)])
 
 
 def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
-    """Spring per piece, (pieces, SPRING); complex for complex values."""
+    """Spring per piece, (pieces, MASS); complex for complex values."""
     own = law.beside(values)
     cubic, slider, slips = (own[name] for name in ("cubic_stiffness", "hysteresis_stiffness", "hysteresis_torque"))
     slides = slider / slips if slips != 0.0 else (math.nan if slider != 0.0 else 0.0)
     rows = []
     for i, piece in enumerate(law.pieces(values)):
-        held = piece.torque - piece.stiffness * piece.deflection
-        rows.append([piece.stiffness, piece.damping, cubic, slips, slides, held, piece.deflection + i * _THIN])
+        held, begin = piece.torque - piece.stiffness * piece.deflection, piece.deflection + i * _THIN
+        rows.append([piece.stiffness, piece.damping, cubic, slips, held, begin, slides, *[0.0] * (MASS - BEGIN - 2)])
     return np.array(rows)
 
 

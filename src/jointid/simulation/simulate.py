@@ -385,7 +385,7 @@ def choose_steps(tree: Tree, references: FloatArray, length: float, plant: Plant
         # A cubic spring is four times as stiff where the cube carries as much as the line.
         stiffest = np.max(pieces, axis=0)
         stiffness = stiffest[kernels.STIFFNESS] * (4.0 if stiffest[kernels.CUBIC] > 0.0 else 1.0)
-        springs += (stiffness + 2.0 * stiffest[kernels.SLIPS] * stiffest[kernels.SLIDING]) * np.outer(both, both)
+        springs += (stiffness + 2.0 * stiffest[kernels.SLIPS] * stiffest[kernels.WINDING]) * np.outer(both, both)
         dampers += stiffest[kernels.DAMPING] * np.outer(both, both)
     for pose in references[:: max(len(references) // _POSES, 1)]:
         M = np.diag(plant.masses[:, 0, kernels.INERTIA])

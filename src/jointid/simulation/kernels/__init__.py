@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.models.friction import COLUMNS
 
 IndexArray: TypeAlias = NDArray[np.uint64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -19,15 +20,15 @@ LANES = 8
 
 # Columns of a mass in a band of its speed: inertia, constant friction, viscous coefficients and Coulomb forces of both
 # directions, the inverse of the displacement over which the latter wind up (0 of one that sticks), what both grow by
-# per second, what the second grows by per torque that the mass carries, and the speed at which the band ends.
-INERTIA, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK, WINDING, VISCOUS_DRIFT, COULOMB_DRIFT, PER_TORQUE = (
-    range(10)
-)
-MASS, HIGH = 10, 10
+# per second, what the second grows by per torque that the mass carries, further numbers of its law, and the speed at
+# which the band ends.
+INERTIA, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK = range(6)
+WINDING, VISCOUS_DRIFT = COLUMNS["presliding_distance"], COLUMNS["viscous_drift"]
+COULOMB_DRIFT, PER_TORQUE = COLUMNS["coulomb_drift"], COLUMNS["friction_per_torque"]
+MASS = HIGH = 6 + len(COLUMNS)
 # Columns of a spring in a piece of its deflection, of either sign: stiffness, damping, cubic stiffness, limit of its
-# slider, the stiffness of that over it, the torque of the piece's line at no deflection, and where the piece begins.
-STIFFNESS, DAMPING, CUBIC, SLIPS, SLIDING, HELD, BEGIN = range(7)
-SPRING = 7
+# slider, the torque of the piece's line at no deflection, and where the piece begins. Its slider is WINDING, too.
+STIFFNESS, DAMPING, CUBIC, SLIPS, HELD, BEGIN = range(6)
 # Columns of a force that follows a position: of its cosine, of its sine, of the position, phase per position, mass.
 COS, SIN, RATE, WAVE, WHERE = range(5)
 
@@ -44,7 +45,7 @@ class Plant(NamedTuple):
 
     Attributes:
         masses: (masses, bands, MASS + 1) in each band of the speed; a band that is not there ends where the last does.
-        springs: (springs, pieces, SPRING) in each piece; one that is not there begins at infinity.
+        springs: (springs, pieces, MASS) in each piece; one that is not there begins at infinity.
         places: (forces, 5) that follow a position.
         pairs: (springs, 2) the masses that each ties.
         motors: (axes,) the mass that each motor drives.

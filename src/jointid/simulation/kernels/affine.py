@@ -31,7 +31,6 @@ from jointid.simulation.kernels import (
     LANES,
     MASS,
     OFFSET,
-    SPRING,
     STIFFNESS,
     VISCOUS,
     IntArray,
@@ -370,7 +369,7 @@ def fill_tangent(
     Filled are `moves`, as by `enter_mode`, and `moved`, (modes * parts, INPUTS * 4 * LANES).
     """
     (m1, m2), nd, (where, band), bands = _ways(mode), masses.shape[0], (mode // MODES, 0), masses.shape[1]
-    dmass, dspring = np.zeros((LANES, 2, MASS)), np.zeros((LANES, 1, SPRING))
+    dmass, dspring = np.zeros((LANES, 2, MASS)), np.zeros((LANES, 1, MASS))
     bent: NDArray[Any] = np.zeros((2, INPUTS), dtype=np.complex128)
     slopes = np.zeros((2, INPUTS))
     share1, share2 = abs(m1) / masses[0, 0, INERTIA], abs(m2) / masses[nd - 1, 0, INERTIA]

@@ -179,7 +179,7 @@ def _watch(
             guards[i] = np.inf
     for s in range(pairs.shape[0]):
         i, one, two = nd + s, pairs[s, 0], pairs[s, 1]
-        guards[i] = modes[i] * (v[two] - v[one]) if spring[s, kernels.SLIDING] > 0.0 else np.inf
+        guards[i] = modes[i] * (v[two] - v[one]) if spring[s, kernels.WINDING] > 0.0 else np.inf
         guards[every + i] = min(q[two] - q[one] - bounds[i, 0], bounds[i, 1] - (q[two] - q[one]))
 
 
@@ -342,7 +342,7 @@ def run(
     q1, v1, w1, a1, held1, grip1 = q.copy(), v.copy(), w.copy(), a.copy(), a.copy(), a.copy()
     drive, mobility, second, third = a.copy(), a.copy(), a.copy(), a.copy()
     pull, modes, at, bounds = np.zeros(ns), w.copy(), np.zeros(nd + ns, dtype=np.int64), np.zeros((nd + ns, 2))
-    mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.SPRING))
+    mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.MASS))
     guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
     M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
@@ -366,7 +366,7 @@ def run(
     for i in range(nd):
         winds = winds or mass[i, kernels.WINDING] > 0.0
     for s in range(ns):
-        winds, varies = winds or spring[s, kernels.SLIDING] > 0.0, varies or spring[s, kernels.CUBIC] != 0.0
+        winds, varies = winds or spring[s, kernels.WINDING] > 0.0, varies or spring[s, kernels.CUBIC] != 0.0
     varies = varies or winds
     if tree is not None:
         equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
@@ -437,7 +437,7 @@ def run(
                 for s in range(ns if settles else 0):  # a deflection at rest goes where its ends accelerate to
                     one, two = pairs[s, 0], pairs[s, 1]
                     turns = v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0
-                    if turns and spring[s, kernels.SLIDING] > 0.0:
+                    if turns and spring[s, kernels.WINDING] > 0.0:
                         modes[nd + s] = -modes[nd + s]
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
                     fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
@@ -464,20 +464,20 @@ def run(
                             affine.write_state(moved, q1, v1)
                         else:
                             _go_to_stage(stage, d, q, v, a, second, third, a1, q1, v1)
+                        gone = 0.5 * d if stage < 2 else d
                         for i in range(nd if winds else 0):
-                            w1[i] = wind(w[i], modes[i], q1[i] - q[i], mass[i, kernels.WINDING])
+                            w1[i] = wind(mass, i, modes[i], q1[i] - q[i], gone, w[i])
                         for s in range(ns if winds else 0):
                             one, two = pairs[s, 0], pairs[s, 1]
                             e = (q1[two] - q1[one]) - (q[two] - q[one])
-                            w1[nd + s] = wind(w[nd + s], modes[nd + s], e, spring[s, kernels.SLIDING])
+                            w1[nd + s] = wind(spring, s, modes[nd + s], e, gone, w[nd + s])
                         if tree is not None:
                             equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
                             for i in range(links):
                                 M[i, i] += mass[i, kernels.INERTIA]
-                        then = time + (0.5 * d if stage < 2 else d)
                         if not accelerate(
                             mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive,
-                            then, q1, v1, w1, a1, held1, grip1, pull,
+                            time + gone, q1, v1, w1, a1, held1, grip1, pull,
                         ):  # fmt: skip
                             status = kernels.NOT_POSITIVE
                             break

@@ -1,19 +1,22 @@
 """The laws of friction, springs and forces of a position, compiled: of each its force and the partials of that.
 
 A law is a row of numbers (`kernels`), in which its force is linear but for a winding length and a wave. The
-simulation takes the forces, its derivatives the partials. What winds up over a displacement is a state w of its own, by
-the law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976). With the direction d of
-the motion, and the displacement x since the step began, it has a closed form, and is as exact as the motion::
-
-    w' = (v - d v w) / s                w = d - (d - w0) exp(-d x / s)
+simulation takes the forces, its derivatives the partials. What winds up over a displacement is a state w of its own, of
+friction by `models.friction.wind_up`. Its steps are exponential: exact where the rate is linear in w, as in the law of
+P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976), and as exact as the motion.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, inline_kernel
+from jointid.models import friction as friction_laws
 from jointid.simulation.kernels import (
     COS,
     COULOMB,
@@ -25,7 +28,6 @@ from jointid.simulation.kernels import (
     PER_TORQUE,
     RATE,
     SIN,
-    SLIDING,
     SLIPS,
     STIFFNESS,
     VISCOUS,
@@ -47,21 +49,15 @@ def take_piece(springs: FloatArray, s: int, piece: int, spring: FloatArray) -> N
     spring[s, HELD] *= -1.0 if piece < 0 else 1.0
 
 
-@inline_kernel
-def wind(w: float, way: float, x: float, rate: float) -> float:
-    """Return the wound-up share after a displacement, from `w` before it."""
-    if w == way or rate == 0.0:
-        return w
-    return w - (way - w) * math.expm1(min(-way * x * rate, 1.0))
+wind_up = inline_kernel(friction_laws.wind_up)
 
 
 @inline_kernel
-def wind_partials(w: float, way: float, x: float, rate: float) -> tuple[float, float]:
-    """Return the partials of what is wound up after a displacement: by `w`, and by the product of `x` and the rate."""
-    if w == way:
-        return 0.0, 0.0
-    left = math.exp(min(-way * x * rate, 1.0))
-    return left, (way - w) * way * left
+def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) -> Any:
+    """Return what is wound up of a mass or spring after h seconds, in which it moves by x, from `w` before them."""
+    rate, by_state = wind_up(numbers, i, way, x / h, w)
+    grows = h * by_state
+    return w + rate * (np.expm1(grows) / by_state if rate * by_state != 0.0 and grows.real < 1.0 else h)
 
 
 @inline_kernel
@@ -93,7 +89,6 @@ def friction_partials(
 
     The share of the Coulomb force that acts is 1 or -1, or what is wound up.
     """
-    k[row, VISCOUS + 1 - back], k[row, COULOMB + 1 - back] = 0.0, 0.0
     k[row, OFFSET], k[row, VISCOUS + back], k[row, VISCOUS_DRIFT] = -1.0, -v, -v * time
     k[row, COULOMB + back], k[row, COULOMB_DRIFT], k[row, PER_TORQUE] = -share, -share * time, -share * abs(carried)
     return float(-share * mass[i, PER_TORQUE] * math.copysign(1.0, carried))
@@ -126,15 +121,15 @@ def fastest_rate(
         left = abs(modes[i] - w[i])
         if mass[i, WINDING] > 0.0 and left > _WINDS:
             square += grip[i] * left * mass[i, WINDING] * mobility[i]
-            rate += abs(v[i]) * mass[i, WINDING]
+            rate += abs(wind_up(mass, i, modes[i], v[i], w[i])[1])
     for s in range(pairs.shape[0]):
         one, two = pairs[s, 0], pairs[s, 1]
         e, both = q[two] - q[one], mobility[one] + mobility[two]
         stiffness = spring[s, STIFFNESS] + max(3.0 * spring[s, CUBIC] * e * e, 0.0)
         left = abs(modes[nd + s] - w[nd + s])
-        if spring[s, SLIDING] > 0.0 and left > _WINDS:
-            stiffness += spring[s, SLIPS] * spring[s, SLIDING] * left
-            rate += abs(v[two] - v[one]) * spring[s, SLIDING]
+        if spring[s, WINDING] > 0.0 and left > _WINDS:
+            stiffness += spring[s, SLIPS] * spring[s, WINDING] * left
+            rate += abs(v[two] - v[one]) * spring[s, WINDING]
         square += stiffness * both
         rate += spring[s, DAMPING] * both
     for j in range(places.shape[0]):

@@ -6,9 +6,9 @@ The run has left a tape of its steps. Along each the deviations of all masses ob
 
 with M, C and K the derivatives of the equations of motion by acceleration, velocity and position, and G, negative, by
 the parameters and by the motors' torques. They are taken at both ends of the step, about its mean motion, and followed
-by a Taylor series of order 4. What winds up has the derivative of its closed form. A mass at rest stays there. An event
-moves in time with what it takes to zero, so velocities jump (M. A. Aizerman and F. R. Gantmacher: On the stability of
-periodic motions, Journal of Applied Mathematics and Mechanics 22, 1958)::
+by a Taylor series of order 4. What winds up has the derivatives of its steps, by complex numbers. A mass at rest stays
+there. An event moves in time with what it takes to zero, so velocities jump (M. A. Aizerman and F. R. Gantmacher: On
+the stability of periodic motions, Journal of Applied Mathematics and Mechanics 22, 1958)::
 
     dv+ = dv- + (a+ - a-) dv_i- / a_i-
 
@@ -19,6 +19,7 @@ are linear between limits, and where one acts its element follows the limit.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +38,12 @@ from jointid.simulation.kernels.engine import invert
 # in springs as a step begins, or their rates.
 _ORDER = 4
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
-# takes; of springs stiffness and damping; of both the stiffness of what winds up, how its derivative enters the force,
-# what of it is left at the end, and what it gains with the place and with the rate of winding.
-_GOES, _DRAG, _STIFF, _TAKES, _PULL, _DAMP, _WINDS, _ENTERS, _LEFT, _GAINS, _TURNS, _FACTORS = range(12)
+# takes; of springs stiffness and damping; of both the force of what winds up, whole, first and last, its stiffness, how
+# its derivative enters the force, and that of its end by the law's numbers, by what was wound up, and by the way gone.
+_GOES, _DRAG, _STIFF, _TAKES, _PULL, _DAMP, _FIRST, _LAST, _WINDS, _ENTERS, _TURNS = range(11)
+_WOUND, _GONE = kernels.MASS, kernels.MASS + 1  # further numbers of a law that winds up
 _PLACE, _SPEED, _CHANGE = range(3)  # rows of the motion
+_SMALL = 1e-30j  # of a complex step: its square is nothing beside any value
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
 
 
@@ -57,63 +60,57 @@ def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray, change: 
 
 
 @inline_kernel
-def _wind(f: FloatArray, x: int, w: float, way: float, gone: float, rate: float, force: float) -> float:
-    """Add half the factors of what winds up in a step; return the partial of the force by the rate in its middle."""
-    half, slope = laws.wind_partials(w, way, 0.5 * gone, rate)
-    f[_ENTERS, x] += 0.5 * force * half
-    f[_WINDS, x] += 0.5 * force * slope * rate
-    left, slope_left = laws.wind_partials(w, way, gone, rate)
-    f[_LEFT, x], f[_GAINS, x], f[_TURNS, x] = left, slope_left * rate, slope_left * gone
-    return 0.5 * force * slope * gone
+def _stretch(d: FloatArray, pairs: IndexArray, nd: int, x: int, c: int) -> float:
+    """Return a derivative of a mass's place, or of a spring's deflection."""
+    return float(d[x, c] if x < nd else d[pairs[x - nd, 1], c] - d[pairs[x - nd, 0], c])
 
 
 @inline_kernel
 def _fill_factors(
     masses: FloatArray, springs: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray,
     tape: FloatArray, row: int, mean: FloatArray, change: FloatArray, drive: FloatArray, time: float,
-    mass: FloatArray, spring: FloatArray, torque: FloatArray, f: FloatArray, k: FloatArray,
+    own: FloatArray, law: NDArray[Any], torque: FloatArray, f: FloatArray, k: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the factors of a step, a row of the tape, and the partials of the forces by their numbers at both ends.
 
     Partials have rows for masses, springs and places as the step begins, then as many as it ends.
     """
     nd, ns, h, half = masses.shape[0], pairs.shape[0], tape[row, kernels.LENGTH], k.shape[0] // 2
+    mass, spring = own[:nd], own[nd:]
     modes, at, wound = STATE + 4 * nd, STATE + 5 * nd + ns, STATE + 6 * nd + 2 * ns
     for i in range(nd):
         assign(mass[i], masses[i, int(tape[row, at + i])])
     for s in range(ns):
         laws.take_piece(springs, s, int(tape[row, at + nd + s]), spring)
-    for i in range(_FACTORS):
-        for x in range(f.shape[1]):
-            f[i, x] = 0.0
+    for values in (f, k):
+        for i in range(values.shape[0]):
+            for x in range(values.shape[1]):
+                values[i, x] = 0.0
     for end in range(2):
         side = end - 0.5
         for s in range(ns):
             one, two, x, to, piece = pairs[s, 0], pairs[s, 1], nd + s, end * half + nd + s, tape[row, at + nd + s]
-            gone, way, begun = (mean[_SPEED, two] - mean[_SPEED, one]) * h, tape[row, modes + nd + s], wound + nd + s
-            w = laws.wind(tape[row, begun], way, 0.5 * gone, spring[s, kernels.SLIDING])
+            speed, way, begun = mean[_SPEED, two] - mean[_SPEED, one], tape[row, modes + nd + s], wound + nd + s
+            w = laws.wind(spring, s, way, 0.5 * speed * h, 0.5 * h, tape[row, begun])
             w += side * (tape[row + 1, begun] - tape[row, begun])
             e = mean[_PLACE, two] - mean[_PLACE, one] + side * (change[_PLACE, two] - change[_PLACE, one])
-            de = gone / h + side * (change[_SPEED, two] - change[_SPEED, one])
+            de = speed + side * (change[_SPEED, two] - change[_SPEED, one])
             torque[s] = laws.spring_torque(spring, s, e, de, w)
             f[_PULL, x] += 0.5 * laws.spring_partials(spring, s, e, de, w, k, to)
             f[_DAMP, x] = spring[s, kernels.DAMPING]
-            k[to, kernels.HELD], k[to, kernels.SLIDING] = 0.0 if piece == 0.0 else math.copysign(1.0, piece), 0.0
-            if spring[s, kernels.SLIPS] > 0.0:
-                k[to, kernels.SLIDING] = _wind(
-                    f, x, tape[row, begun], way, gone, spring[s, kernels.SLIDING], spring[s, kernels.SLIPS]
-                )
+            k[to, kernels.HELD] = 0.0 if piece == 0.0 else math.copysign(1.0, piece)
+            f[_FIRST + end, x] = spring[s, kernels.SLIPS]
         for i in range(nd):
             mode, speed, to = tape[row, modes + i], mean[_SPEED, i], end * half + i
             way = math.copysign(1.0, speed) if mode == FREE else mode
             back, share, then = 1 if way < 0.0 else 0, way, time + end * h
             carried = torque[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
             grip, drag = laws.friction(mass, i, back, carried, then)
-            k[to, kernels.INERTIA], k[to, kernels.WINDING] = -mean[_CHANGE, i] - side * change[_CHANGE, i], 0.0
+            k[to, kernels.INERTIA] = -mean[_CHANGE, i] - side * change[_CHANGE, i]
             if mass[i, kernels.WINDING] > 0.0:
-                w, winds = tape[row, wound + i], mass[i, kernels.WINDING]
-                share = laws.wind(w, mode, 0.5 * speed * h, winds) + side * (tape[row + 1, wound + i] - w)
-                k[to, kernels.WINDING] = _wind(f, i, w, mode, speed * h, winds, -grip)
+                f[_FIRST + end, i] = -grip
+                share = laws.wind(mass, i, mode, 0.5 * speed * h, 0.5 * h, tape[row, wound + i])
+                share += side * (tape[row + 1, wound + i] - tape[row, wound + i])
             speed += side * change[_SPEED, i]
             f[_GOES, i] = 1.0 if mode != 0.0 else 0.0
             f[_DRAG, i] += 0.5 * drag
@@ -121,31 +118,35 @@ def _fill_factors(
         for j in range(places.shape[0]):
             i, to = int(places[j, kernels.WHERE]), (end + 1) * half - places.shape[0] + j
             f[_STIFF, i] += 0.5 * laws.place_partials(places, j, mean[_PLACE, i] + side * change[_PLACE, i], k, to)
-    for i in range(nd):
-        f[_STIFF, i] += f[_WINDS, i]
-    for i in range(nd, nd + ns):
-        f[_PULL, i] += f[_WINDS, i]
+    for x in range(nd + ns):
+        way, w = tape[row, modes + x], tape[row, wound + x]
+        if f[_FIRST, x] == 0.0 or w == way:
+            continue  # nothing winds up, or it is
+        assign(law[0], own[x])
+        law[0, _WOUND], law[0, _GONE] = w, h * _stretch(mean.T, pairs, nd, x, _SPEED)
+        for n in range(kernels.WINDING, _GONE + 1):  # by complex steps
+            law[0, n] += _SMALL
+            middle = laws.wind(law, 0, way, 0.5 * law[0, _GONE], 0.5 * h, law[0, _WOUND]).imag / _SMALL.imag
+            f[_TURNS + n, x] = laws.wind(law, 0, way, law[0, _GONE], h, law[0, _WOUND]).imag / _SMALL.imag
+            law[0, n] -= _SMALL
+            k[x, n], k[x + half, n] = k[x, n] + f[_FIRST, x] * middle, k[x + half, n] + f[_LAST, x] * middle
+        f[_ENTERS, x], f[_WINDS, x] = 0.5 * (k[x, _WOUND] + k[x + half, _WOUND]), k[x, _GONE] + k[x + half, _GONE]
+        f[_STIFF if x < nd else _PULL, x] += f[_WINDS, x]
 
 
 @inline_kernel
 def _add_seeds(
-    seeds: Seeds, row: int, band: int, to: int, winds: int, h: float, f: FloatArray, k: FloatArray,
+    seeds: Seeds, row: int, band: int, to: int, h: float, f: FloatArray, k: FloatArray,
     given: FloatArray, rate: FloatArray, turned: FloatArray,
 ) -> None:  # fmt: skip
-    """Add what parameters change in a law; `winds` is the number of which something is wound up otherwise."""
+    """Add what parameters change in a law."""
     then = row + k.shape[0] // 2
     for e in range(seeds.begin[row, band], seeds.begin[row, band + 1]):
         number, c, value = seeds.numbers[e], seeds.columns[e], seeds.values[e]
         given[to, c] += k[row, number] * value
         rate[to, c] += (k[then, number] - k[row, number]) / h * value
-        if number == winds:
-            turned[to, c] += f[_TURNS, row] * value
-
-
-@inline_kernel
-def _stretch(d: FloatArray, pairs: IndexArray, nd: int, x: int, c: int) -> float:
-    """Return a derivative of a mass's place, or of a spring's deflection."""
-    return float(d[x, c] if x < nd else d[pairs[x - nd, 1], c] - d[pairs[x - nd, 0], c])
+        if number >= kernels.WINDING:
+            turned[to, c] += f[_TURNS + number, row] * value
 
 
 @inline_kernel
@@ -309,8 +310,8 @@ def follow(
     lead, kicks = np.zeros(count), np.zeros(nd)
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, change, drive = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd)
-    mass, spring, torque = masses[:, 0].copy(), springs[:, 0].copy(), np.zeros(ns)
-    f, k = np.zeros((_FACTORS, forces)), np.zeros((2 * (forces + len(places)), kernels.MASS))
+    numbers, wound, torque = np.zeros((forces, kernels.MASS + 1)), np.zeros((1, _GONE + 1), np.complex128), np.zeros(ns)
+    f, k = np.zeros((_TURNS + _GONE + 1, forces)), np.zeros((2 * (forces + len(places)), _GONE + 1))
     room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
     inverse, K, C, rows = M.copy(), M.copy(), M.copy(), np.zeros((nd, count))
     jumps = np.zeros(axes, dtype=np.bool_)
@@ -397,8 +398,8 @@ def follow(
                     for i in range(nd):
                         M[i, i] += masses[i, 0, kernels.INERTIA]
                     _fill_factors(
-                        masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, mass, spring,
-                        torque, f, k,
+                        masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, numbers,
+                        wound, torque, f, k,
                     )  # fmt: skip
                     invert(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], inverse)
                     if edge:
@@ -407,13 +408,13 @@ def follow(
                     for i in range(forces):
                         for c in range(count):
                             given[i, c], rate[i, c], turned[i, c] = 0.0, 0.0, 0.0
-                        band, number = int(abs(tape[row, at_band + i])), kernels.WINDING if i < nd else kernels.SLIDING
-                        _add_seeds(seeds, i, band, i, number, h, f, k, given, rate, turned)
+                        band = int(abs(tape[row, at_band + i]))
+                        _add_seeds(seeds, i, band, i, h, f, k, given, rate, turned)
                         for c in range(count if f[_ENTERS, i] != 0.0 or f[_WINDS, i] != 0.0 else 0):
                             given[i, c] += f[_ENTERS, i] * dw[i, c] - f[_WINDS, i] * _stretch(dq, pairs, nd, i, c)
                     for i in range(len(places)):
                         to = int(places[i, kernels.WHERE])
-                        _add_seeds(seeds, forces + i, 0, to, -1, h, f, k, given, rate, turned)
+                        _add_seeds(seeds, forces + i, 0, to, h, f, k, given, rate, turned)
                     for j in range(axes if controlled else 0):
                         r = rotors[j]
                         for c in range(count):
@@ -427,10 +428,9 @@ def follow(
                     _join(pairs, carriers, f, K, C, x)
                     _move(h, f, inverse, K, C, rows, x)
                     for i in range(forces):
-                        winds = mass[i, kernels.WINDING] if i < nd else spring[i - nd, kernels.SLIDING]
-                        for c in range(count if winds > 0.0 or f[_TURNS, i] != 0.0 else 0):
-                            gains = f[_GAINS, i] * _stretch(gone, pairs, nd, i, c) + turned[i, c]
-                            dw[i, c] = f[_LEFT, i] * dw[i, c] + gains
+                        for c in range(count if f[_FIRST, i] != 0.0 else 0):
+                            gains = f[_TURNS + _GONE, i] * _stretch(gone, pairs, nd, i, c) + turned[i, c]
+                            dw[i, c] = f[_TURNS + _WOUND, i] * dw[i, c] + gains
                 time += h
                 if tape[row, kernels.EVENT] >= 0.0:
                     _pass_event(tape, row, nd, pairs, heavy, M, seeds, dq, dv, lead, kicks)
