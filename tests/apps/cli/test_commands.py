@@ -211,11 +211,11 @@ def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
     assert (place / "record.csv").read_text(encoding="utf-8").startswith("t,tau1,r1,tau2,r2\n")
     out = capsys.readouterr().out
     assert "repeatable residual" not in out and max(map(len, out.partition("\n\nWritten")[0].splitlines())) <= 80
-    rows = re.findall(r"  (-?[\d.e-]+) ± ([\d.e-]+)  \S.*? +(-?[\d.e-]+)  (?:.* )?(\w+)$", out, re.MULTILINE)
-    found = {symbol: tuple(map(float, numbers)) for *numbers, symbol in rows}
+    rows = re.findall(r"^(\w.*?)  +(-?[\d.e-]+) ± ([\d.e-]+)  \S.*? +(-?[\d.e-]+)$", out, re.MULTILINE)
+    found = {name: tuple(map(float, numbers)) for name, *numbers in rows}
     assert len(found) == 18, "every parameter has its truth"
     assert all(abs(value - true) < 2 * interval for value, interval, true in found.values())
-    value, interval, true = found["K1"]
+    value, interval, true = found["shoulder, stiffness"]
     assert true == 2560.0 and interval < 0.01 * value
     assert run("demo", "--robot", place, "-q") == 2, "it holds files"
 

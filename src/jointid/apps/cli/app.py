@@ -44,7 +44,7 @@ def _versions() -> str:
 app = App(
     name="jointid",
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
-    help_epilogue=f"Begin with: jointid demo\n{_ENDING}",
+    help_epilogue=f"Begin with: jointid demo\n\n{_ENDING}",
     group_commands=Group("Options", sort_key=9),
     version=_versions,
     help_format="markdown",
