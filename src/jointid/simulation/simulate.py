@@ -263,12 +263,12 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
         return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
     at = np.minimum(parts, done - 1)
     if run.path.straight:  # accelerations are those just after torques change
-        post, path = run.experiment.sampled.post[0], run.path
+        post, path, rates = run.experiment.sampled.post[0], run.path, run.path.rates[:, :masses].T
         states, mode = np.take(path.states, at, 0), path.modes[at].astype(np.int64)
         source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]
         torque = np.where(source >= 0, (run.command[0] + post)[np.maximum(source, 0)], run.start.before[0])
-        inputs = np.stack([states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, np.ones(at.size)])
-        acceleration = np.einsum("kij,jk->ki", np.take(path.rates, mode, 0)[:, :masses], inputs)
+        inputs = states[:, 1], states[:, 2] - states[:, 0], states[:, 3], torque, np.ones(1)
+        acceleration = np.asarray(sum(x * np.take(rate, mode, 1) for x, rate in zip(inputs, rates, strict=True))).T
         way = mode[:, np.newaxis] // np.array([3, 1])[:masses] % 3 - 1.0  # of 9 modes each
         return MassMotion(states[:, ::2][:, :masses], states[:, 1::2][:, :masses], acceleration, way)
     position, velocity, acceleration, modes = (values[at] for values in motion_of(run.tape, masses, done))
