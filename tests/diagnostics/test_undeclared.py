@@ -63,7 +63,7 @@ def test_intervals_hold_what_a_hidden_velocity_filter_moves():
     found, wider = widened(logged(0.5e-3))
     assert max(error / std for error, std, _ in found.values()) > 3
     assert all(error < 2 * wide for error, _, wide in found.values())
-    assert any("velocity filter" in one and "Fv1 by" in one for _, one in wider)
+    assert any("velocity filter" in one and "viscous by" in one for _, one in wider)
 
 
 def test_what_the_record_excludes_or_the_controller_denies_widens_nothing():
