@@ -174,7 +174,7 @@ class Friction:
         return self.name.startswith("asymmetric")
 
     def terms(self, prefix: str = "") -> list[Term]:
-        """Terms of the law beside its lines; of "motor_" without those of a load."""
+        """Terms of the law beside its lines; on the motor side without those of a load."""
         own = (term for word, term in _TERMS.items() if word in self.name)
         return [term for term in own if not (term.of_load and prefix == "motor_")]
 
