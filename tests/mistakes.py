@@ -229,15 +229,10 @@ MISTAKES = (
     _mistake("reference turned round", "reference_sign", log("reference", np.negative)),
     _mistake("torque and reference swapped", "swapped_channels", changes(swap)),
     _mistake("actual position as reference", "reference_is_position", changes(_give_position_as_reference)),
-    _mistake(
-        "position_gain and velocity_gain swapped", "swapped_gains", _swapped("position_gain", "velocity_gain")
-    ),
+    _mistake("position_gain and velocity_gain swapped", "swapped_gains", _swapped("position_gain", "velocity_gain")),
     _mistake("position_gain twice as large", "position_gain", _twice("position_gain")),
     _mistake("velocity_gain twice as large", "law_gain", _twice("velocity_gain")),
-    _mistake(
-        "torque constant said twice", "torque_constant",
-        lambda one: log("torque", lambda x: one.law.gain * x)(one),
-    ),
+    _mistake("torque constant said twice", "torque_constant", lambda it: log("torque", lambda x: it.law.gain * x)(it)),
     _mistake("integral forgotten", "integral_gain", has(integral_gain=60.0), declares(integral_gain=0.0)),
     _mistake(
         "velocity filter forgotten", "velocity_filter",

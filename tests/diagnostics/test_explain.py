@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
 from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
-from jointid.diagnostics.explain import Case, explain_failure, find_causes, list_cases
+from jointid.diagnostics.explain import Case, Cause, explain_failure, find_causes, is_small, list_cases
 from jointid.diagnostics.model_free import find_plain_cause, find_steps, find_unexplained_share
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
@@ -66,6 +66,11 @@ def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
     declared = Case(record, loop, ji.Filtering().resolve(axis("rigid").rate, "rigid"))
     tried = [one.factor for one in list_cases(declared) if one.change is not None and one.change.name == "sample_time"]
     assert tried == [0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0]
+
+
+def test_no_time_constant_is_near_a_filter_of_another_kind() -> None:
+    declared = Case(*without_mistake(axis("flexible")), ji.Filtering())
+    assert not is_small(Cause("velocity_filter", "", 1e-6), declared)
 
 
 def test_a_search_keeps_its_bound_and_says_that_it_left_cases_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -165,9 +165,10 @@ def is_small(cause: Cause, declared: Case) -> bool:
     if value is not None and cause.name.endswith(("scale", "gain")):
         known = numbers.get(cause.name, 1.0)
         return min(known, value) > 0 and abs(math.log(value / known)) < _SMALL
-    known = numbers.get({"velocity_filter": _TIME}.get(cause.name, cause.name), 0.0)
-    timed = value is not None and cause.name.endswith(("delay", "filter"))
-    return timed and abs((value or 0.0) - known) < _HARDLY * declared.period
+    name = _TIME if cause.name == "velocity_filter" else cause.name
+    unlike = name == _TIME and name not in numbers and declared.controller.velocity_filter != (1.0,)  # of another kind
+    timed = value is not None and not unlike and cause.name.endswith(("delay", "filter"))
+    return timed and abs((value or 0.0) - numbers.get(name, 0.0)) < _HARDLY * declared.period
 
 
 # What corrects them

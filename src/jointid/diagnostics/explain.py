@@ -411,8 +411,7 @@ def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> tuple[list[Fit]
     least = fits[0].error if fits else 0.0
     for k, fit in enumerate(fits):
         if fit.error <= max(_BEHIND * least, least + loss) and used <= _PERIODS / 2:
-            # To its minimum, where its number can be stated.
-            begin = fit if loss else fit.exact()
+            begin = fit if loss else fit.exact()  # to its minimum, where its number can be stated
             fits[k] = begin.descend(_TO_ITS_END) or fit
             used += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
             least = min(least, fits[k].error)

@@ -37,10 +37,11 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
             did not pass and can be acted on, a line each, that on the loop first.
     """
     listed = list[tuple[str, bool | None, str]]()
-    for name, found in groupby(estimate.checks, key=lambda check: check.name):
+    for asked, found in groupby(
+        estimate.checks, lambda one: "mechanics" if one.code in OF_MECHANICS else str(one.name)
+    ):
         first, *others = found
         brief = first.brief + f" (and {len(others)} more in the report)" * bool(others)
-        asked = "mechanics" if first.code in OF_MECHANICS else str(name)
         listed.append((asked, first.passed, "\n".join(one.words for one in (first, *others)) if details else brief))
     passed = [good for _, good, _ in listed]
     listed = [row for row in listed if details or not (row[1] or row[0] == Subject.WHITENESS)]
