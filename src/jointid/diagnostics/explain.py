@@ -371,8 +371,8 @@ class Fit:
             left = np.linalg.norm(self.problem.residual(self.x)) / self.problem.size
         return replace(self, error=float(left) if math.isfinite(left) else math.inf)
 
-    def exact(self) -> Fit:
-        """The start under its controller at that one's own period."""
+    def restore_period(self) -> Fit:
+        """Return the start under its controller at the period of its case."""
         law: Any = self.problem.loop.controller
         if (own := getattr(self.case.controller, "period", None)) == getattr(law, "period", None):
             return self
@@ -411,7 +411,7 @@ def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> tuple[list[Fit]
     least = fits[0].error if fits else 0.0
     for k, fit in enumerate(fits):
         if fit.error <= max(_BEHIND * least, least + loss) and used <= _PERIODS / 2:
-            begin = fit if loss else fit.exact()  # to its minimum, where its number can be stated
+            begin = fit if loss else fit.restore_period()  # to its minimum, where its number can be stated
             fits[k] = begin.descend(_TO_ITS_END) or fit
             used += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
             least = min(least, fits[k].error)

@@ -147,7 +147,7 @@ def see_loop(problem: ClosedLoopProblem, x: FloatArray, residual: FloatArray, ow
         small = _FORCE * float(np.max(np.abs(problem.measured))) / largest
 
         def simulate(by: float) -> FloatArray:
-            return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + by * force))
+            return problem.torque(x, lambda e: e.push(by * force))
 
         try:
             raw = (simulate(small) - simulate(-small)) / (2 * small)

@@ -160,7 +160,7 @@ def simulate_with_force(
         extra = np.zeros(driven.after_limit.size)
         held = np.repeat(added, driven.clock.skips)[:: driven.clock.shows][: extra.size]
         extra[: held.size] = held
-        return driven.pushed(extra)
+        return driven.push(extra)
 
     for _ in range(draws):
         pushed = force.draw(samples, problem.sample_time, random)

@@ -308,7 +308,7 @@ def _draw_errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: 
         added = noise.log * rng.standard_normal(quiet.size)
         if noise.force > 0:
             force = noise.force * rng.standard_normal(experiment.after_limit.size)
-            forced = replace(experiment, after_limit=experiment.after_limit + force)
+            forced = experiment.push(force)
             run = problem.torque(x, lambda _: forced)
             # The log shows what the loop does about the force, and not the force itself.
             added = added + run - quiet - to_log(experiment, forced.shown - experiment.shown)

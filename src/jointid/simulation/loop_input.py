@@ -188,8 +188,8 @@ class AxisInput:
         law = self.feedback
         return np.asarray(law.C[0, law.output] @ self.memory + np.array([law.D[0, law.output, POSITION], 0.0]))
 
-    def pushed(self, torque: FloatArray) -> AxisInput:
-        """The same inputs with a further torque behind the limit, (periods,)."""
+    def push(self, torque: FloatArray) -> AxisInput:
+        """Return the inputs with a further torque behind the limit, (periods,)."""
         found = copy(self)
         object.__setattr__(found, "after_limit", self.after_limit + torque)
         return found

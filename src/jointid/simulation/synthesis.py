@@ -121,7 +121,7 @@ def simulated_record(
             )
         extra = np.repeat(np.asarray(disturbance, dtype=np.float64), axis.clock.skips)
         extra = extra[:: axis.clock.shows][: axis.periods]
-        forced = experiment.alone(axis.pushed(extra))
+        forced = experiment.alone(axis.push(extra))
     found = require_success(simulate(loop, forced, values, initial))
     # A force from outside is in no current of the motor, though it acts as an injected signal does.
     torque = found.torque - to_log(axis, forced.axis.shown - axis.shown)

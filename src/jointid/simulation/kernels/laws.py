@@ -54,7 +54,7 @@ wind_up = inline_kernel(friction_laws.wind_up)
 
 @inline_kernel
 def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) -> Any:
-    """Return what is wound up of a mass or spring after h seconds, in which it moves by x, from `w` before them."""
+    """Advance what is wound up, w, by h seconds and a motion x."""
     rate, by_state = wind_up(numbers, i, way, x / h, w)
     grows = h * by_state
     return w + rate * (np.expm1(grows) / by_state if rate * by_state != 0.0 and grows.real < 1.0 else h)
