@@ -9,7 +9,8 @@ from jointid.config import controller_text, dumps, edit, loads, replace_table
 from jointid.models.controllers import Cascade, FirstOrder, SecondOrder
 from jointid.models.controllers.filters import DigitalFilter
 from jointid.models.limits import AxisLimits
-from jointid.records.columns import Column, known_units
+from jointid.records.columns import Column
+from jointid.records.record import known_units
 from tests.joint_files import JOINT, SMALLEST, faults, told
 
 TURNING = """

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ RECORD = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
 RIGID, FLEXIBLE = ji.RigidJoint("prismatic"), ji.FlexibleJoint("prismatic")
 ASYMMETRIC = ji.RigidJoint("prismatic", friction=Friction("asymmetric"))
 AXIS, ARM = twin(noise="none"), arm(2)
-INERTIA = RIGID.parameters[0]
+VERBS: tuple[Any, ...] = (ji.identify, ji.diagnose, ji.write)
 
 
 def run_away() -> None:
@@ -53,7 +55,7 @@ def resting() -> None:
         # parameters
         (lambda: ji.identify(RECORD, ASYMMETRIC, parameters={"offset": RIGID.parameters[3]}), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, parameters={p.name: p.fix(1.0) for p in RIGID.parameters}), ji.MethodError),
-        (lambda: ji.identify(RECORD, LOOP, parameters={"mass": INERTIA}), ji.MethodError),
+        (lambda: ji.identify(RECORD, LOOP, parameters={"mass": RIGID.parameters[0]}), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, parameters={"inertia": 30.0}), ji.MethodError),  # type: ignore[dict-item]
         # filters
         (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(cutoff=60.0, decimation=12)), ji.MethodError),
@@ -63,10 +65,7 @@ def resting() -> None:
         (lambda: ji.identify(RECORD, LOOP, filtering=ji.Filtering(borders=(5000, 5000))), ji.RecordError),
         # settings of methods
         (lambda: ji.identify(RECORD, RIGID, ji.DIDIM()), ji.MethodError),
-        (
-            lambda: ji.identify(RECORD, ji.ClosedLoop(FLEXIBLE, LOOP.controller), ji.DIDIM(evaluations=9)),
-            ji.MethodError,
-        ),
+        (lambda: ji.identify(RECORD, replace(LOOP, joint=FLEXIBLE), ji.DIDIM(evaluations=9)), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, ji.DIDIM(frequency=30.0)), ji.MethodError),
         (lambda: ji.DIDIM(tolerance=0.0), ji.MethodError),
         (lambda: ji.DIDIM(outputs=("torque", "motor_position")), ji.MethodError),
@@ -78,10 +77,7 @@ def resting() -> None:
         # forces
         (lambda: PositionHarmonics(-0.1), ji.MethodError),
         (lambda: ji.RigidJoint("prismatic", gravity=Gravity("link")), ji.MethodError),
-        (
-            lambda: ji.RigidJoint("prismatic", friction=Friction("asymmetric"), gravity=Gravity("constant")),
-            ji.MethodError,
-        ),
+        (lambda: replace(ASYMMETRIC, gravity=Gravity("constant")), ji.MethodError),
         (lambda: Gravity("link", angle=0.0), ji.MethodError),
         (lambda: Counterbalance(rate=float("nan")), ji.MethodError),
         # several records
@@ -97,7 +93,12 @@ def resting() -> None:
         (lambda: ji.identify(RECORD, LOOP, ji.DriveSideFit(), windows=2.0), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise={"foo": 0.2}), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise=0.2), ji.MethodError),  # type: ignore[arg-type]
-        *((partial(ji.identify, wrong, LOOP), ji.MethodError) for wrong in ("log.csv", {"torque": [1.0]}, LOOP, None)),
+        # what is no record
+        *((partial(*call, LOOP), ji.MethodError) for call in product(VERBS, ("x.csv", {}, [LOOP], None))),
+        (lambda: ji.learn_controller([RECORD]), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.design(LOOP, RECORD, motion="log.csv"), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.diagnose(torque=[1.0], model=LOOP), ji.MethodError),  # type: ignore[call-arg]
+        (lambda: ji.Record(torque=[1.0]), ji.RecordError),  # type: ignore[arg-type]
         (lambda: ji.identify(ji.Record(), LOOP, windows=4.0), ji.RecordError),
         # robots
         (lambda: ji.identify(records_of(ARM, 1)[0], ARM), ji.MethodError),

@@ -9,9 +9,9 @@ import pytest
 import jointid as ji
 from jointid.common.units import COUNTS, SHARE, unit
 from jointid.config import loads
-from jointid.records.columns import Column, known_units
+from jointid.records.columns import Column
 from jointid.records.drives import Drive, index_columns, load_profile, place_of, profile_names
-from jointid.records.record import CHANNELS, Tap, Timing
+from jointid.records.record import CHANNELS, Tap, Timing, known_units
 
 T = 1e-3
 TIME = np.arange(400) * T

@@ -55,11 +55,8 @@ def test_a_bad_row_far_down_is_named_by_its_line(tmp_path: Path, line: int, bad:
     lines = made.read_text(encoding="utf-8").splitlines()
     lines[line - 1] = bad
     made.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    log = Log(made, CHANNELS)
-    with pytest.raises(
-        ji.RecordError, match=f"line {line} has"
-    ):  # row 50 is the last of a block of ten, and not of the file
-        list(log.chunks(10, 2))
+    with pytest.raises(ji.RecordError, match=f"line {line} has"):  # row 50 is the last of a block, not of the file
+        list(Log(made, CHANNELS).chunks(10, 2))
 
 
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:

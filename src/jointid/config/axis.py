@@ -26,11 +26,11 @@ from jointid.models.limits import AxisLimits
 from jointid.models.springs import Spring
 from jointid.records.checks import check_record
 from jointid.records.clock import Cut
-from jointid.records.columns import Column, known_units, unit_in_name
+from jointid.records.columns import Column, unit_in_name
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.reading import RecordReader
-from jointid.records.record import Record
+from jointid.records.record import Record, known_units
 from jointid.records.writing import columns_to_write
 
 _AGREES = 1e-3  # relative tolerance of a declared gain, which may be rounded to four digits

@@ -28,7 +28,7 @@ from jointid.models.controllers import (
     unit_of_number,
     with_numbers,
 )
-from jointid.records.record import Record, Resampled
+from jointid.records.record import Record, Resampled, takes_record
 from jointid.uncertainty.covariance import Covariance
 
 SAME = 1e-5  # of the torque's rms: laws that differ by less are one equation
@@ -176,6 +176,7 @@ def _in_torque(unit: str, torque_unit: str) -> str:
 
 
 @one_thread()
+@takes_record
 def learn_controller(
     record: Record,
     *,
@@ -219,11 +220,6 @@ def learn_controller(
         >>> print(ji.learn_controller(record).structure)
         P-P
     """
-    if not isinstance(record, Record):
-        raise MethodError(
-            f"A controller is learned from one record of one joint; received {type(record).__name__}: of a robot give "
-            "that of a joint, or take one joint of its file by axis or --axis."
-        )
     if not (math.isfinite(gain) and gain > 0):
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
     log = prepare_loop_record(record)

@@ -23,7 +23,7 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import IN_WINDOWS, Estimate, fingerprint
 from jointid.models.linear import OUTPUTS, frequency_response
-from jointid.records.record import Record
+from jointid.records.record import Record, takes_record
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.identifiability import Combination
@@ -109,6 +109,7 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     return FrequencyResponse(frequency, sides, np.abs(found), phase, unit, modes)
 
 
+@takes_record
 def intervals(estimate: Estimate, record: Record, quantities: Sequence[str] | None = None) -> Profiles:
     """Profiles of an estimate by DIDIM, on its side of the transmission.
 

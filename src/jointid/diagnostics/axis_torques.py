@@ -29,7 +29,7 @@ from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
-from jointid.records.signals.filtering import find_noise_limit, lowpass_below_noise
+from jointid.records.signals.filtering import find_noise_limit, lowpass
 from jointid.simulation.simulate import Simulation
 from jointid.uncertainty.model_tests import Whiteness, whiteness
 
@@ -216,7 +216,7 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
         limit = find_noise_limit([raw[:, k]], motion.sample_time, derivative=4)
         own = (through(q, v, a + unit) - still)[:, k]
         for share in _ROTORS:  # the rotor's own torque does not wind the spring
-            back = [lowpass_below_noise(share * own * a[:, k] - still[:, k], limit, motion.sample_time)]
+            back = [lowpass(share * own * a[:, k] - still[:, k], limit, motion.sample_time)]
             for _ in range(2):
                 back.append(np.gradient(back[-1], motion.sample_time))
             by = _TURN / (float(np.max(np.abs(back[0]))) or 1.0)

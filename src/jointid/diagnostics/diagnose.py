@@ -30,7 +30,7 @@ from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
-from jointid.records.record import Record
+from jointid.records.record import Record, takes_record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 
@@ -40,6 +40,7 @@ _ENOUGH = (_UNREADABLE, _POOR_MOTION, Agreement.SCALED, Agreement.LATE)  # after
 
 
 @one_thread()
+@takes_record
 def diagnose(
     record: Record | Sequence[Record],
     model: ClosedLoop | DriveSide | Joint | Robot | RobotLoop | RobotDriveSide,
@@ -118,16 +119,12 @@ def diagnose(
     return replace(found, name=first.name, symptoms=tuple(symptoms), laws=tuple(compared), transmission=gear)
 
 
-def _list_axes(record: object, model: object) -> list[tuple[str, Record, ClosedLoop | None]]:
-    """Name, record and, if known, loop of each joint.
-
-    Raises:
-        MethodError: it is another model, or there are not as many records as joints.
-    """
+def _list_axes(record: Record | Sequence[Record], model: object) -> list[tuple[str, Record, ClosedLoop | None]]:
+    """Name, record and known loop of each joint; refuse another number of records."""
     robot = model if isinstance(model, Robot) else getattr(model, "robot", None)
     names = ("",) if robot is None else robot.names
     loops = getattr(model, "loops", [model if isinstance(model, ClosedLoop) else None] * len(names))
-    records = [record] if isinstance(record, Record) else list(record) if isinstance(record, Sequence) else []
+    records = [record] if isinstance(record, Record) else [*record]
     if len(records) != len(names):
         raise MethodError(f"{len(names)} joints are examined with a record of each; received {len(records)}.")
     return list(zip(names, records, loops, strict=True))

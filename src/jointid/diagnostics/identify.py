@@ -50,8 +50,8 @@ from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.controllers import Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
-from jointid.records.chunks import LongRecord
-from jointid.records.record import Record
+from jointid.records.chunks import InMemory, Log
+from jointid.records.record import Record, takes_record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.derivatives import respond_to_laws
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
@@ -63,8 +63,9 @@ UNCHECKED = "not checked"  # of what was left out, and is made up for by `check_
 
 
 @one_thread()
+@takes_record
 def identify(
-    record: Record | Sequence[Record] | Sequence[Sequence[Record]] | LongRecord,
+    record: Record | Sequence[Record] | Sequence[Sequence[Record]] | Log | InMemory,
     model: ClosedLoop | DriveSide | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
     method: Method | None = None,
     *,

@@ -35,7 +35,7 @@ from jointid.models.controllers import INJECTED, Controller
 from jointid.models.joints import ClosedLoop
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import find_noise_limit, lowpass_below_noise
+from jointid.records.signals.filtering import find_noise_limit, lowpass
 from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
 from jointid.uncertainty.covariance import Influence
@@ -428,7 +428,7 @@ def _follow(
         return None
     position, count = record.motor_position, min(torque.values.size, len(made))
     limit = find_noise_limit([position.values], position.sample_time)
-    see = partial(lowpass_below_noise, limit=limit, sample_time=torque.sample_time)
+    see = partial(lowpass, cutoff=limit, sample_time=torque.sample_time)
     if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(torque.values) == 0 or np.ptp(made[:, 0]) == 0:
         return None
     return see(torque.values[:count]), see(made[:count]), see

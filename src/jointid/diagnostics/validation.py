@@ -45,7 +45,7 @@ from jointid.estimation.rigid_starts import fit_initial_state
 from jointid.estimation.robots.simulated import nominal_numbers
 from jointid.models.joints import ClosedLoop
 from jointid.records.checks import check_record
-from jointid.records.record import Record, Resampled
+from jointid.records.record import Record, Resampled, takes_record
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.simulate import Outcome, motion_at
@@ -215,6 +215,7 @@ def _rms(shares: Sequence[float | None]) -> float | None:
 
 
 @one_thread()
+@takes_record
 def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validation:
     """Compare an identified joint or robot with a record.
 
@@ -275,7 +276,7 @@ def _take_records(estimate: Estimate, record: Record | Sequence[Record]) -> Sequ
     if estimate.robot is not None:
         loops = getattr(getattr(estimate.robot, "setup", None), "loops", [None] * len(estimate.robot.model))
     given = [*record] if isinstance(record, Sequence) else [record]
-    if len(given) != len(loops) or not all(isinstance(one, Record) for one in given):
+    if len(given) != len(loops):
         raise MethodError(f"Validation takes a record of each of {len(loops)} joints, in order; received {len(given)}.")
     for k, (one, loop) in enumerate(zip(given, loops, strict=True)):
         if one.torque is None and one.motor_position is not None and loop is not None:

@@ -98,11 +98,6 @@ def fit(
         raise MethodError(f"windows, in seconds,{fault}")
     filtering, known, listed = filtering or Filtering(), parameters or {}, isinstance(record, list | tuple)
     streamed = not listed and not isinstance(record, Record)
-    if streamed and not hasattr(record, "chunks"):
-        said = f"A record is what `ji.read` or `file.record()` returns; received {type(record).__name__}"
-        raise MethodError(
-            f"{said}: read its file, or give ji.Record(torque=ji.Channel(values, unit, sample_time), ...)."
-        )
     if (streamed or windows is not None) and (said := _refuse_windows(record, model, method, several)):
         raise MethodError(said)
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):

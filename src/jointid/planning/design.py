@@ -23,7 +23,7 @@ from jointid.planning.joints import RUNS, JointModel, joint_model
 from jointid.planning.predict import Noise, parse_goal
 from jointid.planning.robots import FeedForward, RobotModel, robot_model
 from jointid.planning.search import ASTRAY, Objective, complete, find_best
-from jointid.records.record import Record
+from jointid.records.record import Record, takes_record
 from jointid.records.signals.filtering import Filtering
 
 _FEWEST = 200  # samples of a test
@@ -34,6 +34,7 @@ One = TypeVar("One")
 
 
 @one_thread()
+@takes_record
 def design(
     model: Estimate | ClosedLoop | Robot | RobotLoop,
     record: Record | Sequence[Record] | None = None,
@@ -113,11 +114,9 @@ def design(
     part = model.robot if isinstance(model, Estimate) else model
     declared = part if isinstance(part, Robot) else getattr(part, "model", getattr(part, "robot", None))
     count = 1 if declared is None else len(declared)
-    if {len(present), len(played), len(bounds)} - {0, count}:
-        raise MethodError(
-            f"A test of {count} axes has as many records, limits and references, or none; received {len(present)} "
-            f"records, {len(bounds)} limits and {len(played)} references."
-        )
+    sizes = len(present), len(played), len(bounds)
+    if {*sizes} - {0, count}:
+        raise MethodError(f"A test of {count} axes has as many records, motions and limits, or none; received {sizes}.")
     of_joint: dict[str, Any] = {"values": values, "parameters": parameters}
     bounds = bounds or (AxisLimits(),) * count
     common: dict[str, Any] = {"within": within, "filtering": filtering, "seed": seed}

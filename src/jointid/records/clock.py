@@ -48,12 +48,6 @@ class Clock:
     jitter: float = 0.0
     first: float = 0.0
 
-    def straightened(self) -> FloatArray:
-        """Return the least-squares line through the stamps [s], (samples,)."""
-        times, centred = self.stamps - self.stamps[0], np.arange(self.stamps.size) - 0.5 * (self.stamps.size - 1)
-        slope = float(centred @ times / (float(centred @ centred) or 1.0))
-        return np.asarray(float(self.stamps[0]) + float(np.mean(times)) + slope * centred)
-
 
 def find_stamps(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None
@@ -221,7 +215,7 @@ def fit_line(stamps: FloatArray) -> tuple[float, FloatArray, NDArray[np.int64]]:
     skipped = np.where(steps >= _GAP * typical, np.maximum(np.round(steps / typical), 1), steps != 0)
     number = np.concatenate([[0.0], np.cumsum(skipped)])
     centred, times = number - number.mean(), stamps - stamps.mean()
-    period = float(centred @ times / (centred @ centred))
+    period = float(centred @ times) / (float(centred @ centred) or 1.0)
     return period, times - period * centred, np.asarray(np.maximum(skipped - 1, 0), dtype=np.int64)
 
 

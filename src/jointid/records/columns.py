@@ -120,24 +120,6 @@ def unit_fault(what: str, name: str, known: tuple[str, ...]) -> str:
     return f'{what} is in "{name}"; expected one of {", ".join(known)}: give its unit, and the gain to it.'
 
 
-def known_units(channel: str, kind: str) -> tuple[str, ...]:
-    """Units allowed for a channel and kind of joint, SI first."""
-    if channel in ("torque", "injected"):
-        return units.units_of(*units.TORQUE_UNITS[kind])
-    dimensions = units.VELOCITY_UNITS if channel == "reference_velocity" else units.POSITION_UNITS
-    return units.units_of(*dimensions[kind])
-
-
-def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> str:
-    """Unit of a channel's values: stated, the torque's for injections, or SI."""
-    known = known_units(channel, kind)
-    default = known[0]
-    if channel == "injected" and "torque" in columns:
-        stated = columns["torque"].stated_unit(known)  # on another side of a transmission it may be no unit here
-        default = stated if stated in known else default
-    return columns[channel].stated_unit(known) or default
-
-
 def finite_faults(name: str, values: FloatArray) -> list[str]:
     """Return the fault of non-finite values, (samples,), if any; `name` is theirs."""
     bad = np.flatnonzero(~np.isfinite(values))

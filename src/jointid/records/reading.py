@@ -27,13 +27,23 @@ from jointid.records.columns import (
     as_columns,
     find_wrap,
     finite_faults,
-    known_units,
     restore_sign,
     unwrap,
 )
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, read_table
-from jointid.records.record import CHANNELS, TORQUES, Channel, Injection, Record, Spans, Tap, Timing, refer_channel
+from jointid.records.record import (
+    CHANNELS,
+    TORQUES,
+    Channel,
+    Injection,
+    Record,
+    Spans,
+    Tap,
+    Timing,
+    known_units,
+    refer_channel,
+)
 from jointid.records.resampling import Resampling, Signal, bring_together
 
 _TURNS_ON = 1.5  # wraps: a motor that travels further passes the wrap of its reference

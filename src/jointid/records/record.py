@@ -6,21 +6,24 @@ period that ends at the sample. Confusing them shifts the signal by half a perio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, TypeAlias
+from functools import wraps
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import pluralise
 from jointid.common.transmission import Side, Transmission
 
 _DECIMALS = 13  # most decimals of a period in seconds that is a finite decimal number
+_Verb = TypeVar("_Verb", bound=Callable[..., Any])
 
 
 Spans: TypeAlias = tuple[tuple[float, float], ...]
@@ -193,6 +196,9 @@ class Record:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tap", Tap(self.tap))
+        for name in CHANNELS:
+            for said in _not_of(Record.__annotations__[name], getattr(self, name)):
+                raise RecordError(f"{name} is {said}, and is no channel: give ji.Channel(values, unit, sample_time).")
         channels = dict(self.items())
         if not channels:
             raise RecordError("A record needs at least one channel; give the torque and the reference.")
@@ -265,12 +271,41 @@ class Record:
             )
 
 
+def takes_record(verb: _Verb) -> _Verb:
+    """Let a verb refuse what is no record, or no list of them where it is annotated as one."""
+    takes = {name: str(one.annotation) for name, one in inspect.signature(verb).parameters.items()}
+
+    @wraps(verb)
+    def checked(*args: Any, **given: Any) -> Any:
+        values = dict(zip(takes, args, strict=False)) | given
+        wrong = [f"{name}=" for name in CHANNELS if name in given.keys() - takes]
+        for name in {"record", "motion"} & values.keys():
+            wrong += _not_of(takes[name], values[name])
+        if wrong:
+            raise MethodError(
+                f"{verb.__name__} takes a record, as ji.read returns it; received {wrong[0]}: read its file by "
+                "ji.read(path, columns), or give ji.Record(torque=ji.Channel(values, unit, sample_time), ...)."
+            )
+        return verb(*args, **given)
+
+    return cast(_Verb, checked)
+
+
+def _not_of(kind: str, given: Any) -> list[str]:
+    """Describe what is neither of an annotated kind nor a sequence of it, if that has any."""
+    if type(given) in (list, tuple) and "Sequence" in kind:
+        return [said for one in given for said in _not_of(kind, one)]
+    names = [one.__name__.removesuffix("Type") for one in type(given).__mro__]
+    return [] if {*names} & {*re.findall(r"\w+", kind)} else [repr(given) if names[0] == "str" else names[0]]
+
+
 def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
     """Refuse a record with units that differ from the joint's.
 
     The torque's unit is `torque_unit`, or SI if None.
     """
-    units_of = {name: torque_unit if torque_unit and name in TORQUES else si_unit(name, kind) for name in CHANNELS}
+    usual = {name: known_units(name, kind)[0] for name in CHANNELS}
+    units_of = usual | dict.fromkeys(TORQUES if torque_unit else (), str(torque_unit))
     wrong = [f"{n} in {one.unit}, not {units_of[n]}" for n, one in record.items() if one.unit != units_of[n]]
     if wrong:
         raise RecordError(
@@ -288,12 +323,14 @@ def refer_channel(
         position, kind = 1.0 / position, transmission.kind_of(side)
     factor = 1.0 / position if name in TORQUES else position
     of_drive = units.unit(channel.unit).dimension in ("current", "voltage")
-    return replace(channel, values=channel.values * factor, unit=channel.unit if of_drive else si_unit(name, kind))
+    return replace(
+        channel, values=channel.values * factor, unit=channel.unit if of_drive else known_units(name, kind)[0]
+    )
 
 
-def si_unit(name: str, kind: str) -> str:
-    """SI unit of a channel for a kind of motion."""
-    position, torque = POSITION_UNIT[kind], TORQUE_UNIT[kind]
-    if name in TORQUES:
-        return torque
-    return f"{position}/s" if name == "reference_velocity" else position
+def known_units(channel: str, kind: str) -> tuple[str, ...]:
+    """Units allowed for a channel and kind of joint, SI first."""
+    if channel in TORQUES:
+        return units.units_of(*units.TORQUE_UNITS[kind])
+    dimensions = units.VELOCITY_UNITS if channel == "reference_velocity" else units.POSITION_UNITS
+    return units.units_of(*dimensions[kind])

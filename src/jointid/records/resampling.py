@@ -108,7 +108,7 @@ def _align(signals: Mapping[str, Signal]) -> tuple[dict[str, Channel], float] | 
     """Cut channels to the latest beginning, or return None."""
     if not signals:
         return {}, 0.0
-    begins = {name: float(one.clock.straightened()[0]) for name, one in signals.items()}
+    begins = {name: float(one.clock.stamps[0] - fit_line(one.clock.stamps)[1][0]) for name, one in signals.items()}
     periods = {name: one.clock.sample_time for name, one in signals.items()}
     near, latest = CLOCK_TOLERANCE * min(periods.values()), max(begins.values())
     late = {name: (latest - begin) / periods[name] for name, begin in begins.items()}
@@ -179,7 +179,9 @@ def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dic
     straight = dict(signals)
     for name, one in signals.items():
         if one.clock.jitter and not told.get(one.clock.column, resampled):
-            straight[name] = replace(one, clock=replace(one.clock, stamps=one.clock.straightened(), jitter=0.0))
+            straight[name] = replace(
+                one, clock=replace(one.clock, stamps=one.clock.stamps - fit_line(one.clock.stamps)[1], jitter=0.0)
+            )
     how = Resampling(min(clock.sample_time for clock in jittering), "cubic") if resampled else None
     names = " and ".join(f'"{column}"' for column in dict.fromkeys(clock.column for clock in jittering))
     does = "a position follows them, so that all channels are resampled by them (cubic)"

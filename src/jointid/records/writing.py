@@ -15,11 +15,12 @@ from jointid.records.clock import is_same_rate
 from jointid.records.columns import Column, as_columns, unit_in_name
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, write_table
-from jointid.records.record import Channel, Record, instants, refer_channel
+from jointid.records.record import Channel, Record, instants, refer_channel, takes_record
 
 _ONE = 1e-9  # relative tolerance of two channels that share a column
 
 
+@takes_record
 def write(
     record: Record,
     path: str | os.PathLike[str],

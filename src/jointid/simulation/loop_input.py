@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.text import join, pluralise
+from jointid.common.text import join
 from jointid.models.controllers import (
     INJECTED,
     POSITION,
@@ -283,8 +283,7 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
     records = (record,) if isinstance(record, Record) else tuple(record)
     if len(records) != len(loops):
         raise MethodError(
-            f"A simulation takes a record of each joint; received {len(records)} for {pluralise(len(loops), 'joint')}: "
-            "give one for each, in the order of the joints."
+            f"A simulation takes a record of each joint, {len(loops)}, in order; received {len(records)}."
         )
     axes = tuple(map(_prepare_axis, loops, records))
     if isinstance(loop, ClosedLoop):

@@ -13,7 +13,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.models.robots.robot import RobotLoop
-from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, takes_record
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.plant import Numbers
@@ -23,6 +23,7 @@ from jointid.simulation.start import Initial
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
 
 
+@takes_record
 def simulate(
     loop: ClosedLoop | RobotLoop,
     record: Record | Sequence[Record] | LoopInput,

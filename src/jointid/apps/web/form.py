@@ -21,8 +21,7 @@ from jointid.common.settings import Setting
 from jointid.config.declaration import FileKey, flatten_keys, list_keys
 from jointid.config.tables import JOINT_FILE
 from jointid.config.toml import apply_changes, parse_toml
-from jointid.records.columns import known_units
-from jointid.records.record import CHANNELS, Spans
+from jointid.records.record import CHANNELS, Spans, known_units
 
 EXTRA = "extra"
 """Field of the joint file's further lines, or of the whole robot file."""

@@ -38,7 +38,6 @@ from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
     decimate_all,
-    differentiate,
     differentiate_twice,
     find_noise_limit,
     lowpass,
@@ -226,8 +225,8 @@ def filter_motion(
     if filtering.timing == "respected":
         velocity, acceleration = differentiate_twice(smooth, sample_time)
     else:
-        velocity = differentiate(smooth, sample_time)
-        acceleration = differentiate(velocity, sample_time)
+        velocity = np.gradient(smooth, sample_time, axis=0)
+        acceleration = np.gradient(velocity, sample_time, axis=0)
     return smooth, settle(velocity), acceleration
 
 

@@ -54,8 +54,8 @@ from jointid.models.robots.robot import Robot, RobotLoop, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
+    find_noise_limit,
     lowpass,
-    noise_limit_of_computed,
     window_parts,
 )
 from jointid.simulation.controller_torque import SeenPosition, seen_position
@@ -815,7 +815,8 @@ def loop_log(
     for j, (law, record) in enumerate(zip(seen, records, strict=True)):
         if law is not None and record.motor_position is not None:
             measured[:, j] = law.torque(record.motor_position.values)[:samples]
-    resolved = (filtering or Filtering()).resolve(sample_time, model, noise_limit_of_computed(records, sample_time))
+    behind = [r.motor_position.values for r in records if r.computed and r.motor_position is not None]
+    resolved = (filtering or Filtering()).resolve(sample_time, model, find_noise_limit(behind, sample_time))
     counts = np.min([record.counts(samples, sample_time) for record in records], axis=0)
     # A filter that is padded about the ends holds to a noisy end, which a difference of positions makes large.
     inside = resolved.inside(samples) if any(seen) else slice(0, samples)

@@ -25,8 +25,8 @@ from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.transmission import Side, Transmission
-from jointid.records.columns import Column, known_units, unit_fault, unit_of_column
-from jointid.records.record import CHANNELS, InjectionPoint, Tap
+from jointid.records.columns import Column, unit_fault
+from jointid.records.record import CHANNELS, InjectionPoint, Tap, known_units
 
 Spoken: TypeAlias = Mapping[tuple[str, ...], Sequence[str]]
 """Columns of a trace, by the words of their names."""
@@ -321,7 +321,10 @@ class Frame:
             UnitError: the unit does not fit, or a drive parameter is missing; the message is a predicate.
         """
         kind = self.kind_of(channel, columns[channel])
-        stated, known = unit_of_column(channel, columns, kind), known_units(channel, kind)
+        known = known_units(channel, kind)
+        of_torque = columns["torque"].stated_unit(known) if channel == "injected" and "torque" in columns else None
+        usual = of_torque if of_torque in known else known[0]  # on another side it may be no unit here
+        stated = columns[channel].stated_unit(known) or str(usual)
         if stated not in known:
             raise units.UnitError(unit_fault("", stated, known).strip().removesuffix("."))
         of_load, ratio = channel == "load_position", 1.0 if self.transmission is None else self.transmission.ratio

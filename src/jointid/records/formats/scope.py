@@ -106,11 +106,7 @@ def _name(said: Mapping[str, str], naming: str) -> str:
 
 
 def _parse(rows: Sequence[str], mark: str, width: int, starts: Sequence[int], point: str) -> FloatArray:
-    """Return all numbers, (rows, columns), with NaN for empty cells.
-
-    Raises:
-        ValueError: a cell is not a number.
-    """
+    """Return all numbers, (rows, columns), with NaN for empty cells; words are a ValueError."""
     values, stamps = np.full((len(rows), width), np.nan), dict(enumerate(map(str.strip, rows[0].split(mark))))
     origin = min((int(stamps[c]) for c in starts if _FILETIME.fullmatch(stamps.get(c, ""))), default=0)
     for row, line in zip(values, rows, strict=True):

@@ -69,10 +69,7 @@ class Stamps(NamedTuple):
 def find_stamps(cells: Sequence[str]) -> Stamps:
     """Determine the format of a column of instants from its first cells.
 
-    Day and month are in the order that gives the shorter duration.
-
-    Raises:
-        ValueError: a cell is not an instant.
+    Day and month are in the order that gives the shorter duration. A cell that is no instant is a ValueError.
     """
     spans, begin = list[tuple[float, Stamps]](), next(filter(None, cells), "")
     for day_first in (True, False):

@@ -177,11 +177,7 @@ class Layout:
         )
 
     def _load(self, texts: Sequence[str], mark: str, kinds: str) -> Table:
-        """Return the table of rows with decimal points.
-
-        Raises:
-            ValueError: a row has another width, or a cell another kind.
-        """
+        """Return the table of rows with decimal points; another width or kind is a ValueError."""
         cells = {k: list[str]() for k, kind in enumerate(kinds) if kind in "lt"}
         converters: dict[int | str, Callable[[str], float]] = {
             k: partial(_keep, cells.get(k)) for k, kind in enumerate(kinds) if kind != "n"

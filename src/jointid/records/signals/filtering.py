@@ -17,7 +17,7 @@ from jointid.common.arrays import FloatArray, Room
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import number
-from jointid.records.record import Channel, Record, Timing
+from jointid.records.record import Channel, Timing
 
 if TYPE_CHECKING:
     from typing import Self
@@ -100,7 +100,7 @@ class Filtering:
             MethodError: a cut-off is at or above the Nyquist frequency, or the decimation would alias.
         """
         nyquist = 0.5 / sample_time
-        widest, by_rate = default_cutoffs(sample_time, model)
+        widest, by_rate = (share / sample_time for share in _CUTOFFS[model])
         allowed = by_rate if model == "flexible" else min(by_rate, limit)
         cutoff = self.cutoff or allowed
         position = self.position_cutoff or widest * min(max(cutoff, allowed) / by_rate, 1.0)
@@ -144,17 +144,13 @@ class Filtering:
         return decimate_all([values], self, sample_time)[0]
 
 
-def default_cutoffs(sample_time: float, model: str) -> tuple[float, float]:
-    """Return default cut-offs of positions and of the decimation, Hz."""
-    position, cutoff = _CUTOFFS[model]
-    return position / sample_time, cutoff / sample_time
-
-
 def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray:
     """Filter signals, (samples, ...), by a zero-phase Butterworth filter of order 4.
 
-    The cut-off is in Hz. Ends are padded by 3 x order samples, reflected about the end point.
+    The cut-off is in Hz; from half the rate on nothing is filtered. Ends are padded by 3 x order reflected samples.
     """
+    if 2 * cutoff * sample_time >= 1:
+        return values
     from scipy.signal import butter, sosfiltfilt
 
     padding, sections = 3 * _POSITION_ORDER, butter(_POSITION_ORDER, 2 * cutoff * sample_time, output="sos")
@@ -180,11 +176,6 @@ def thin_channel(channel: Channel, sample_time: float) -> Channel:
     if channel.timing is not Timing.SAMPLED or every < 2 or abs(ratio / every - 1) > 1e-9:
         return channel
     return replace(channel, values=channel.values[::every], sample_time=sample_time)
-
-
-def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
-    """Return central differences along the first axis, one-sided at both ends."""
-    return np.asarray(np.gradient(values, sample_time, axis=0))
 
 
 @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a diverging loop may overflow
@@ -350,20 +341,9 @@ def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, deriva
     return max(allowed, needed) if derivative == 2 else allowed
 
 
-def noise_limit_of_computed(records: Iterable[Record], sample_time: float) -> float:
-    """Noise limit of the positions behind computed torques, Hz; infinite without."""
-    positions = (one.motor_position.values for one in records if one.computed and one.motor_position is not None)
-    return find_noise_limit(positions, sample_time)
-
-
-def lowpass_below_noise(values: FloatArray, limit: float, sample_time: float) -> FloatArray:
-    """Apply `lowpass` at a limit of `find_noise_limit` below Nyquist."""
-    return lowpass(values, limit, sample_time) if limit < 0.5 / sample_time else values
-
-
 def describe_noise_limit(filtering: Filtering, limit: float, sample_time: float, model: str) -> tuple[str, ...]:
     """Return a sentence if the stated cut-off exceeds the noise limit."""
-    default, cutoff = default_cutoffs(sample_time, model)[1], filtering.cutoff or math.inf
+    default, cutoff = _CUTOFFS[model][1] / sample_time, filtering.cutoff or math.inf
     if cutoff <= limit * (1 + 1e-9) or limit >= default:
         return ()
     why = f"noise or steps of the positions pull an inertia if they pass above {number(limit, 3)} Hz"
