@@ -95,8 +95,8 @@ def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: ji.Estim
     assert answer["settings"]["system"]["transmission"]["motor_per_load"] == pytest.approx(-R)
     assert to_dict(motor)["settings"]["system"]["transmission"] is None
 
-    file = file_of(folder, BY_THE_LOAD)
-    assert load_estimate(folder / "out.json", file).values == found.values
+    (folder / "load.toml").write_text(file_of(folder, BY_THE_LOAD).text)
+    assert load_estimate(folder / "out.json", str(folder / "load.toml")).values == found.values
     for other in (file_of(folder, GEARED, "motor"), file_of(folder, ON_THE_MOTOR)):
         with pytest.raises(ji.RecordError):
             load_estimate(folder / "out.json", other)

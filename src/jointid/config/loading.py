@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import tomlkit
 
+from jointid.common import units
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT, Parameter
@@ -126,7 +127,7 @@ def save_with_controller(
     declared one.
 
     Raises:
-        JointFileError: the file cannot be written.
+        RecordError: the file cannot be written.
     """
 
     def name(tables: Tables) -> None:
@@ -135,10 +136,7 @@ def save_with_controller(
             tables.setdefault("record", {})["file"] = place
 
     changes = replace_table(controller_text(controller, file.axis)), move_paths(file.path.parent, path.parent), name
-    try:
-        write_whole(path, edit(file.text, *changes))
-    except RecordError as error:
-        raise JointFileError(error.faults) from error
+    write_whole(path, edit(file.text, *changes))
 
 
 def controller_text(controller: Controller, axis: Axis | None = None) -> str:
@@ -197,10 +195,12 @@ def describe_log(found: Inspection, file: str, axis: str | None, proposed: Mappi
     `file` is the log's path from the joint file's folder, `axis` the number or name of one of several. `proposed` are
     the columns of channels where no profile knows them, None if unknown.
     """
-    log = found.recognised
+    log, said = found.recognised, {units.normalise_unit(one.unit or "") for one in found.channels}
+    slides = not said.isdisjoint(units.units_of("length")) and said.isdisjoint(units.units_of("angle"))
+    joint = {"kind": "prismatic" if slides else "revolute"}
     if log is None:
         names = ", ".join(show(channel.name) for channel in found.channels)
-        text = tomlkit.dumps({"joint": {"kind": "revolute"}, "record": {"file": file}}) + "\n[record.channels]\n"
+        text = tomlkit.dumps({"joint": joint, "record": {"file": file}}) + "\n[record.channels]\n"
         for name, column in proposed.items():
             text += f"{'' if column else '# '}{name} = {{ column = {tomlkit.item(column or '?').as_string()} }}\n"
         return f"# No profile of a drive knows these columns: {names}.\n\n{text}{_ASKED.format('cascade')}"
@@ -214,12 +214,12 @@ def describe_log(found: Inspection, file: str, axis: str | None, proposed: Mappi
     chosen, columns = axes[axis], {channel.name: channel for channel in found.channels}
     alone = {} if "torque" in chosen.channels else {"torque": "from_controller"}
     tables = {
-        "joint": {"kind": "revolute"},
+        "joint": joint,
         "record": {"file": file, **alone, **_clock(columns, chosen)},
         "drive": {"profile": log.profile.name, **{key: value for key, value in chosen.place.items() if key != "index"}},
     }
-    said = "".join(f"# {text}\n" for text in (log.sentence, *log.profile.assumed))
-    return f"{said}\n{tomlkit.dumps(tables)}{_ASKED.format(log.profile.law or 'cascade')}"
+    about = "".join(f"# {text}\n" for text in (log.sentence, *log.profile.assumed))
+    return f"{about}\n{tomlkit.dumps(tables)}{_ASKED.format(log.profile.law or 'cascade')}"
 
 
 def _clock(columns: Mapping[str, InspectedChannel], axis: LoggedAxis) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from jointid import ClosedLoop, __version__
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import digest, explain, open_file
-from jointid.config import File
+from jointid.config import File, load
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.fields import dumps, finite, plain, read, write
@@ -65,9 +65,7 @@ def to_dict(result: object) -> Json:
         'jointid.Estimate/2'
     """
     if not isinstance(result, Documented):
-        raise MethodError(
-            f"Only a result is written as JSON; received {type(result).__name__}: give what a verb returned."
-        )
+        raise MethodError(f"Only a verb's result is written as JSON; received {type(result).__name__}: give that.")
     return {"schema": f"jointid.{type(result).__name__}/2", "version": __version__, **plain(result)}
 
 
@@ -98,7 +96,7 @@ def _refuse_damage(path: str | os.PathLike[str]) -> Iterator[None]:
         raise RecordError(f"{path} is a damaged estimate; {_REMEDY}.") from None
 
 
-def load_estimate(path: str | Path, system: File | System) -> Estimate:
+def load_estimate(path: str | Path, system: File | System | str | Path) -> Estimate:
     """Load the estimate of a joint or a robot from a file.
 
     It predicts, is compared, validated, reported and exported as when it was identified. The measured and predicted
@@ -106,9 +104,9 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
 
     Args:
         path: file of `Estimate.save`, `identify --json` or `report --html`.
-        system: the identified system: a joint file or a robot file from `load`, or a joint or a robot, alone, under its
-            controllers, or along the motion of its motor. Geometry is not in the file of an estimate; that of the robot
-            must give the sums of parameters that the file states.
+        system: the identified system: a joint file or a robot file, or its path; or a joint or a robot, alone, under
+            its controllers, or along its motor's motion. An estimate's file has no geometry; that of the robot must
+            give the sums of parameters that the file states.
 
     Raises:
         RecordError: the file cannot be read, is no estimate, or belongs to another model or another side of its
@@ -128,7 +126,8 @@ def load_estimate(path: str | Path, system: File | System) -> Estimate:
     """
     from jointid.estimation.saved import RobotSystem, restore_estimate
 
-    model, answer = system.setup if isinstance(system, File) else system, read_report(path)
+    model, answer = load(system) if isinstance(system, str | Path) else system, read_report(path)
+    model = model.setup if isinstance(model, File) else model
     try:
         with _refuse_damage(path):
             if isinstance(model, RobotSystem):

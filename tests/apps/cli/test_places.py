@@ -87,11 +87,12 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
         write_whole(tmp_path, b"a folder")
 
 
-def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path) -> None:
-    (place / "own.csv").write_text("Zeit [ms];Strom [A];Lage-Soll [°]\n0;1,5;0,5\n1;2,5;1,0\n", encoding="cp1252")
+@pytest.mark.parametrize(("unit", "read"), [("°", "rad"), ("mm", "m")])
+def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, unit: str, read: str) -> None:
+    (place / "own.csv").write_text(f"Zeit [ms];Strom [A];Lage-Soll [{unit}]\n0;1,5;0,5\n1;2,5;1,0\n", encoding="cp1252")
     assert run("inspect", "own.csv", "--write", "own.toml") == 0
     record = ji.load("own.toml", ["joint.torque_constant=1.0"]).record()
-    assert record.torque.values.tolist() == [1.5, 2.5] and record.reference.unit == "rad"
+    assert record.torque.values.tolist() == [1.5, 2.5] and record.reference.unit == read
 
 
 def test_half_a_result_is_never_seen(tmp_path: Path) -> None:
