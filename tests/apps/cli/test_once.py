@@ -16,10 +16,11 @@ from jointid.output import json as answers
 from tests.rigid_axis import recorded, run, write_axis
 
 PROGRAM = """
-import os, sys
+import os, signal, sys
 import jointid.diagnostics.identify as verb
 from jointid.apps.cli import main
 number = int(sys.argv.pop())
+signal.signal(signal.SIGINT, signal.SIG_IGN if number == signal.SIGTERM else signal.default_int_handler)  # as nohup
 verb.run_checks = lambda *_: os.kill(os.getpid(), number)
 main()
 """
@@ -34,8 +35,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def answer(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    return found
+    return dict(json.loads(path.read_text("utf-8")))
 
 
 def test_all_commands_begin_from_one_search(searches: list[Any], tmp_path: Path) -> None:
@@ -82,10 +82,11 @@ def test_what_changes_the_answer_searches_again(
 def test_what_is_known_when_the_checks_are_ended_is_printed_and_kept(
     number: signal.Signals, code: int, searches: list[Any], tmp_path: Path
 ) -> None:
-    joint = write_axis(tmp_path)
-    words = [sys.executable, "-c", PROGRAM, "identify", os.fspath(joint), str(int(number))]
+    joint, out = write_axis(tmp_path), tmp_path / "out.json"
+    words = [sys.executable, "-c", PROGRAM, "identify", *map(os.fspath, (joint, "--json", out)), str(int(number))]
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
     assert ended.returncode == code and ended.stdout.startswith("Inertia") and "not checked" in ended.stdout
+    assert "Interrupted" in ended.stderr and answer(out)["answer"]["trust"]["code"] == "not_checked"
     assert run("identify", joint, "-q") == 0 and not searches
 
 

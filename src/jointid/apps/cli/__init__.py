@@ -13,9 +13,8 @@ def main(arguments: list[str] | None = None) -> None:
     During loading, most of a short command's time, Ctrl-C ends the program at once: nothing is being written yet, and
     the module being loaded might swallow an exception.
     """
-    loading = arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if loading:
+    if arguments is None and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from jointid.apps.cli.app import run
 
-    run(arguments, signals=loading)
+    run(arguments, signals=arguments is None)

@@ -12,6 +12,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib import metadata
 from typing import Any, NoReturn
 
@@ -31,6 +32,7 @@ from jointid.common.errors import JointidError
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 _SIGNALLED = 128  # the exit code is this plus the signal's number
+_INTERRUPTED = "Interrupted; no file is left half written."
 _ENDING = "Exit codes, and options that most commands have, as --quiet: docs/commands.md"
 
 
@@ -84,7 +86,8 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
     warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         if signals:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # a shell's background job ignores it
+                signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.signal(signal.SIGTERM, _leave)
         code = _finish(_run([word for word in words if word != "--debug"], debug))
     except KeyboardInterrupt:  # a second one, while the first was handled
@@ -95,7 +98,9 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
 
 
 def _leave(number: int, _: object) -> NoReturn:
-    """Exit at once; a library's callback may swallow an exception."""
+    """Say so and exit at once; a library's callback may swallow an exception."""
+    with suppress(OSError):
+        os.write(2, f"jointid: {_INTERRUPTED}\n".encode())
     os._exit(_SIGNALLED + number)
 
 
@@ -112,20 +117,19 @@ def _prepare_outputs() -> None:
 def _run(words: list[str], debug: bool) -> int:
     """Run a command, print its error, and return the exit code."""
     try:
-        code: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+        return int(app(words, exit_on_error=False, print_error=False, result_action="return_value") or 0)
     except (Exception, KeyboardInterrupt) as error:
         if debug and not isinstance(error, CycloptsError):
             traceback.print_exc()
         return _say(*_explain(error))
     finally:
         clear_bars()
-    return code or 0
 
 
 def _explain(error: BaseException) -> tuple[str, int]:
     """Return the sentence of an error, and the exit code."""
     if isinstance(error, KeyboardInterrupt):
-        return "Interrupted; no file is left half written.", _SIGNALLED + signal.SIGINT
+        return _INTERRUPTED, _SIGNALLED + signal.SIGINT
     if isinstance(error, JointidError):
         return str(error), USERS_MISTAKE
     if isinstance(error, CycloptsError):

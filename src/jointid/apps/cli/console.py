@@ -345,13 +345,14 @@ def clear_bars() -> None:
         _bars().clear()
 
 
-def deliver(result: Documented, json: Path | None = None, **printed: Any) -> None:
-    """Print a result by `show_result`, and write it as JSON if requested."""
+def deliver(result: Documented, json: Path | None = None, **printed: Any) -> Document:
+    """Print a result by `show_result`, and write it as JSON if requested; return its document."""
     from jointid.output import json as answers
 
-    show_result(result, **printed)
+    document = show_result(result, **printed)
     if json is not None:
         answers.write(answers.to_dict(result), json)
+    return document
 
 
 def ready(listener: Progress, *, derivatives: bool = True) -> None:

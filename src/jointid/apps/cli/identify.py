@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, Quiet, deliver, show, show_result, spare
+from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, Quiet, deliver, show, spare
 from jointid.common.errors import MethodError
 
 
@@ -49,7 +49,7 @@ def identify(
     shown = list[Any]()
     record, found = options.identify(
         file, several=True, whole=figure is not None, window=window, checks=not no_checks,
-        first=lambda one: shown.append(show_result(one, details=details)),
+        first=lambda one: shown.append(deliver(one, options.json, details=details)),
     )  # fmt: skip
     deliver(found, options.json, details=details, shown=shown)
     if figure is not None:

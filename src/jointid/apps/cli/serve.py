@@ -15,11 +15,7 @@ _HOST = "127.0.0.1"  # not reachable from other machines
 _TOKEN = 24  # random bytes
 
 
-def serve(
-    *,
-    port: int = 8765,
-    folder: Path = Path("jointid-page"),
-) -> None:
+def serve(*, port: int = 8765, folder: Path = Path("jointid-page")) -> None:
     """Serve the page in the browser.
 
     The page takes a log, maps its columns and identifies the joint.
