@@ -27,13 +27,11 @@ _RESONANCES = {"free_free": "Resonance", "motor_locked": "antiresonance", "secon
 
 
 def resonance_sentence(estimate: Estimate) -> str:
-    """Resonance and antiresonance from motor torque, and screw stiffness; empty without spring."""
+    """Resonance and antiresonance from motor torque; empty without spring."""
     frequencies = estimate.frequencies
     named = [(words, frequencies[name]) for name, words in _RESONANCES.items() if name in frequencies]
     stated = ", ".join(f"{words} {number(hertz, 3)} Hz" for words, hertz in named)
-    spring = next((row for row in estimate.rows if row.name == "stiffness" and row.unit == "N/m" and row.value), None)
-    also = f" The stiffness is {number(1e-6 * (spring.value or 0.0), 3)} N/µm." if spring is not None else ""
-    return f"{stated}, from motor torque to motor position.{also}" if stated else ""
+    return f"{stated}, from motor torque to motor position." if stated else ""
 
 
 @styled

@@ -95,6 +95,8 @@ def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
         with pytest.raises(JointFileError, match=r"\?|unit"):
             asks(geared)
         asks(geared | {key: "load" if key.endswith("side") else "500 A s/m"})
+    (torque,) = (one.fields for one in form.channel_step(geared) if one.title == "Torque")
+    assert [one.key.rpartition(".")[2] for one in torque[:3]] == ["column", "unit", "gain"]  # what a form shows openly
 
 
 @pytest.mark.parametrize(

@@ -50,11 +50,12 @@ def test_every_section_is_there(kind: str) -> None:
 
 def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     joint, record = tmp_path / "joint.toml", tmp_path / "run.csv"
-    joint.write_text("", encoding="utf-8")
+    joint.write_text('controller = { law = "cascade", integral_time = "30 ms" }', encoding="utf-8")
     record.write_text("t", encoding="utf-8")
     os.utime(record, (86400.0 * 366, 86400.0 * 366))
     assert repetition(joint, [record], {}).record_date == "1971-01-02"
-    assert repetition(joint, [tmp_path], {}).record_date  # of a folder
+    of_folder = repetition(joint, [tmp_path], {}, ["joint.torque_constant=0.5"])
+    assert of_folder.record_date and of_folder.declared["Controller"] == "law cascade, integral time 30 ms"
     one, both = repetition(joint, [record], {}), repetition(joint, [record, emps_path], {})
     record.write_text("t2", encoding="utf-8")
     hashes = {each.record_file_sha256 for each in (one, both, repetition(joint, [record, emps_path], {}))}

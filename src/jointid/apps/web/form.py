@@ -154,7 +154,8 @@ def channel_step(texts: Texts) -> Iterator[Section]:
         counts = texts.get(fields[0].key) or texts.get("drive.profile")
         title = name.replace("_", " ").capitalize()
         first = {f"record.channels.{name}.{one}" for one in ("column", "unit")}
-        first |= {_SIDE, _OF_MOTOR} if texts.get(_RATIO) else {f"record.channels.{name}.gain"}
+        sides = {_SIDE, _OF_MOTOR, "record.channels.torque.gain"}
+        first |= sides if texts.get(_RATIO) else {f"record.channels.{name}.gain"}
         shown = tuple(sorted(fields, key=lambda one: one.key not in first))
         yield Section(title, shown if counts else shown[:1], folded=name not in _ALWAYS, channel=True)
     yield Section("A gear, a belt or a screw between motor and load", _find("transmission"), folded=True)

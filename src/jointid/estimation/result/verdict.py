@@ -334,7 +334,8 @@ def answer_of(estimate: Estimate) -> Answer:
 def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
     """Value with interval, unit and mode; for a refused one, its bound."""
     mode, least, code = estimate.frequencies.get("free_free"), None, "value"
-    words = f"{in_words(asked.name).capitalize()} {asked} {asked.unit}"
+    micro = 1e-6 * (asked.value or 0.0) if asked.unit == "N/m" else 0.0
+    words = f"{in_words(asked.name).capitalize()} {asked} {asked.unit}{f' ({number(micro, 3)} N/µm)' * (micro >= 1)}"
     if asked.value is None:
         stated, code = told_bounds(estimate), "not_determined"
         words = f"{in_words(asked.name).capitalize()} not determined by this record"

@@ -7,15 +7,15 @@ escaping stays text. The answer that it carries for other programs is JSON in wh
 from __future__ import annotations
 
 import contextlib
-import math
 import re
 import shlex
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,12 +24,11 @@ from jointid.common.charts import svg
 from jointid.common.document import Block, Document, Documented, Facts, Picture, Style, Table, Text, templates
 from jointid.common.errors import RecordError
 from jointid.common.files import digest, explain, write_folder
-from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import number, sentence
-from jointid.diagnostics.suspects import name_number
+from jointid.common.text import in_words, sentence
+from jointid.config.toml import apply_changes
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import Trust
-from jointid.models.controllers import numbers_of, unit_of_number
+from jointid.models.controllers import numbers_of
 from jointid.output import figures as charts
 from jointid.output.axis_drawing import axis_figure, resonance_sentence
 from jointid.output.json import REPORT_ELEMENT
@@ -37,9 +36,7 @@ from jointid.output.json import REPORT_ELEMENT
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jointid.models.joints import ClosedLoop
     from jointid.output.report import Report
-    from jointid.records.record import Channel
 
 PAGES = (".html", ".htm")
 _FEW = 4  # headings: a shorter page needs no list of contents
@@ -82,6 +79,7 @@ class Repetition:
         record_file_sha256: of that file, or of these one after the other.
         joint_file_name, joint_file: name and text of the file of the joint or of the robot.
         command: that writes the report again.
+        declared: of the joint file, in words by what they are of.
     """
 
     version: str = __version__
@@ -91,6 +89,7 @@ class Repetition:
     joint_file_name: str = ""
     joint_file: str = ""
     command: str = ""
+    declared: Mapping[str, str] = field(default_factory=dict)
 
 
 def repetition(
@@ -117,7 +116,19 @@ def repetition(
     known = digest(*records)
     date = datetime.fromtimestamp(records[0].stat().st_mtime, UTC).date().isoformat()
     names = ", ".join(record.name for record in records)
-    return Repetition(__version__, names, date, known, joint.name, text, command)
+    tables = apply_changes(tomllib.loads(text), changes)
+    drive = {key: value for key, value in tables.get("joint", {}).items() if key.startswith("torque_")}
+    stated = {"Controller": tables.get("controller", {}), "Drive": tables.get("drive", {}) | drive}
+    told = {name: _say(table)[1:-1] for name, table in stated.items() if table}
+    return Repetition(__version__, names, date, known, joint.name, text, command, told)
+
+
+def _say(declared: Any) -> str:
+    """Write what a file declares in words, of a filter its kind and numbers."""
+    if type(declared) is dict:
+        told = (f"{in_words(key)} {_say(one)}".removeprefix("kind ") for key, one in declared.items())
+        return f"({', '.join(told)})"
+    return " and ".join(map(_say, declared)) if type(declared) is list else str(declared).replace("_", " ")
 
 
 _TONES: Mapping[Trust, Style] = {Trust.RELIABLE: "good", Trust.PARTLY: "good", Trust.NOT_CHECKED: "open"}  # else bad
@@ -234,8 +245,6 @@ def _result(given: Report) -> Iterator[Block]:
     """Yield the answer, its checks and the drawing of a joint."""
     estimate = given.estimate
     yield Text(str(estimate.answer), style=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
-    if given.diagnosis is not None:
-        yield Text(given.diagnosis.sentence)
     yield from (Text(check.sentence) for check in given.checks)
     if not given.checks:
         yield Text("Whether it predicts another motion is not known yet: --held-out RECORD tests it.")
@@ -244,25 +253,16 @@ def _result(given: Report) -> Iterator[Block]:
             yield Text(resonances)
         yield Picture("axis.svg", lambda: svg(axis_figure(estimate), "axis"), "The axis, with 2 sigma", wide=False)
         loop, motion = estimate.settings.loop, given.channels.get("reference")
-        declared = [("Controller as declared", _describe_controller(loop))] if loop is not None else []
-        yield Facts((*declared, *([("Motion", _describe_motion(motion))] if motion is not None else [])))
+        numbers = {} if loop is None else numbers_of(loop.controller)
+        law = {name: f"{value:.3g}" for name, value in numbers.items() if 0.0 < abs(value) < np.inf}
+        facts = {"Controller": _say(law)[1:-1]} | dict(given.repetition.declared)
+        if motion is not None:
+            travel, speed = np.ptp(motion.values), np.abs(np.diff(motion.values)).max() / motion.sample_time
+            size = f"{travel:.3g} {motion.unit} at up to {speed:.3g} {motion.unit}/s"
+            facts["Motion"] = f"{motion.duration:.3g} s at {1.0 / motion.sample_time:.4g} Hz, {size}"
+        yield Facts(tuple((name, said) for name, said in facts.items() if said))
     else:
         yield Text("All numbers are behind the gears.")
-
-
-def _describe_controller(loop: ClosedLoop) -> str:
-    """Return the numbers of the declared controller with their units."""
-    law, position = loop.controller, POSITION_UNIT[loop.joint.kind]
-    stated = {name: value for name, value in numbers_of(law).items() if 0.0 < abs(value) < math.inf}
-    units = {name: unit_of_number(law, name, position, loop.joint.force_unit) for name in stated}
-    return ", ".join(f"{name_number(name)} {number(stated[name], 3)} {units[name]}".rstrip() for name in stated)
-
-
-def _describe_motion(reference: Channel) -> str:
-    """Return duration, rate, travel and largest speed of a reference."""
-    travel, step = np.ptp(reference.values), np.abs(np.diff(reference.values)).max()
-    size = f"{travel:.3g} {reference.unit} at up to {step / reference.sample_time:.3g} {reference.unit}/s"
-    return f"{reference.duration:.3g} s at {1.0 / reference.sample_time:.4g} Hz, {size}"
 
 
 def _settings(given: Report) -> Iterator[Block]:
