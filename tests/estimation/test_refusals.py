@@ -93,7 +93,6 @@ def resting() -> None:
         (lambda: ji.identify(RECORD, LOOP, ji.DriveSideFit(), windows=2.0), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise={"foo": 0.2}), ji.MethodError),
         (lambda: ji.design(LOOP, RECORD, values={}, noise=0.2), ji.MethodError),  # type: ignore[arg-type]
-        # what is no record
         *((partial(*call, LOOP), ji.MethodError) for call in product(VERBS, ("x.csv", {}, [LOOP], None))),
         (lambda: ji.learn_controller([RECORD]), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.design(LOOP, RECORD, motion="log.csv"), ji.MethodError),  # type: ignore[arg-type]

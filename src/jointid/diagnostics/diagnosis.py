@@ -115,7 +115,8 @@ class AxisDiagnosis:
             said = f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. "
             said += "None of the faults explains it: check geometry, gears and couplings of the model"
             found = () if self.caused or self.explained else (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),)
-        return tuple(replace(one, words=f"{begin}{one.words}", clause=f"{begin}{one.brief}") for one in found)
+        of = {"axes": [self.name]} if self.name else {}
+        return tuple(Message(one.code, begin + one.words, {**one.values, **of}, begin + one.brief) for one in found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +175,7 @@ class Diagnosis(Documented):
         names = [one.name for one in self.axes if one.law_holds is False]
         of = f" of {join(names)}" if any(names) else ""
         said = f"the declared controller{of} does not make the logged torque of the position"
-        return (Message(Reason.LOOP_NOT_AS_DECLARED, said),) if names else ()
+        return (Message(Reason.LOOP_NOT_AS_DECLARED, said, {"axes": names} if any(names) else {}),) if names else ()
 
     @property
     def sentences(self) -> tuple[str, ...]:

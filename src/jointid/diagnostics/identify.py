@@ -249,7 +249,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, found.cause.words)]
     if bad := [joint.name for joint in found.axes if not joint.explained]:
         said = f"what the model leaves of the torque of {join(bad)} is no noise"
-        rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said))
+        rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said, {"axes": bad}))
     rest += found.name_faults(of_model=True) if rest else ()
     checks = checks_of(Subject.REPEATABLE, not rest, *(rest or [Message(Reason.PASSED, "what is left is noise")]))
     lost = [message for message in map(find_lost_samples, fit.records) if message is not None]

@@ -269,8 +269,7 @@ def _take_records(estimate: Estimate, record: Record | Sequence[Record]) -> Sequ
     """Return a record of each axis; a torque that lacks is computed.
 
     Raises:
-        MethodError: there are not as many as axes.
-        RecordError: a record contradicts its description.
+        MethodError, RecordError: there are not as many as axes, or one contradicts its description.
     """
     loops: Sequence[ClosedLoop | None] = [estimate.settings.loop]
     if estimate.robot is not None:

@@ -176,12 +176,13 @@ def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
     A single axis also has panels of its liveliest part and its motion.
     """
     if len(axes) > 1:
-        figure, drawn = panels((*(230,) * (len(axes) - 1), 255), title=title, share_x=True)
+        figure, drawn = panels((180,) * len(axes), 2, title=title)
         for place, axis in zip(drawn, axes, strict=True):
             draw_torque(place, axis)
             draw_error(place, axis)
             place.set_title(f"{axis.name}, {100 * axis.relative_error:.3g} % left")
-        drawn[-1].set_xlabel("time [s]")
+        for place in drawn[-2:]:
+            place.set_xlabel("time [s]")
         return figure
     (axis,) = axes
     moves = axis.velocity is not None

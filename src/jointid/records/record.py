@@ -272,7 +272,7 @@ class Record:
 
 
 def takes_record(verb: _Verb) -> _Verb:
-    """Let a verb refuse what is no record, or no list of them where it is annotated as one."""
+    """Refuse other things where a verb takes a record, by its annotations."""
     takes = {name: str(one.annotation) for name, one in inspect.signature(verb).parameters.items()}
 
     @wraps(verb)
@@ -292,9 +292,9 @@ def takes_record(verb: _Verb) -> _Verb:
 
 
 def _not_of(kind: str, given: Any) -> list[str]:
-    """Describe what is neither of an annotated kind nor a sequence of it, if that has any."""
+    """List the parts of an argument that its annotation excludes."""
     if type(given) in (list, tuple) and "Sequence" in kind:
-        return [said for one in given for said in _not_of(kind, one)]
+        return [said for one in given for said in _not_of(kind.replace("Sequence", "", 1), one)]
     names = [one.__name__.removesuffix("Type") for one in type(given).__mro__]
     return [] if {*names} & {*re.findall(r"\w+", kind)} else [repr(given) if names[0] == "str" else names[0]]
 

@@ -188,10 +188,7 @@ def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int
 
 
 def drift(
-    windows: Sequence[Window],
-    x: FloatArray,
-    free: Sequence[Parameter],
-    units: Mapping[str, str],
+    windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], units: Mapping[str, str]
 ) -> Agreement | None:
     """Test whether segments of a record agree; None if too short.
 

@@ -577,8 +577,7 @@ def build_estimate(
         float(np.sqrt(np.mean(errors**2))) if by_axis else float(errors[0]), fitted, simulations, *end,
         axis_errors=by_axis, nominal_errors=dict(zip(names, nominals, strict=False)),
     )  # fmt: skip
-    if robot is not None:
-        warnings = (*robot.model.remarks, *warnings)
+    warnings = (*(() if robot is None else robot.model.remarks), *warnings)
     data = Data(
         record=join(list(dict.fromkeys(record.name for record in records))),
         channels=tuple(dict.fromkeys(channels or (name for record in records for name in record.channels))),

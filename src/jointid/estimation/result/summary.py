@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Facts, Table, Text, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.result.agreement import Alone
-from jointid.estimation.result.verdict import OF_MECHANICS, Subject, moved_by_loop, told_bounds
+from jointid.estimation.result.verdict import OF_MECHANICS, POOR_FIT, Subject, moved_by_loop, told_bounds
 from jointid.models.robots.robot import Robot
 from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import INTERVAL
@@ -60,13 +60,18 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     """Yield tables: errors by axis, parameters, combinations, bounds, segments, sums."""
     fit, rows, parts = estimate.fit, estimate.rows, _parts_of(estimate, "segments")
     if axes := [*fit.axis_errors]:
-        columns = {"estimate": fit.axis_errors} | ({"nominal": fit.nominal_errors} if fit.nominal_errors else {})
         errors = [
             (f"{name}, %", [f"{100 * of[a]:.3g}" if math.isfinite(of[a]) else "runs away" for a in axes], False)
-            for name, of in columns.items()
+            for name, of in (("estimate", fit.axis_errors), ("nominal", fit.nominal_errors))
+            if of
         ]
+        told = sorted((p for p in rows if p.name.endswith((".coulomb", ".stiffness"))), key=lambda p: p.name)
+        last = {p.axis: f"{p} {p.unit}" for p in told}  # a joint's stiffness, if it has one
         caption = "filtered torque that is left, of the record it was identified from"
-        yield _table(caption, ("joint", axes, True), *errors)
+        shown = ("stiffness or friction", [last.get(a, "-") for a in axes], True)
+        yield _table(
+            caption, ("joint", axes, True), *errors, shown, ("trust", [_trust(estimate, a) for a in axes], True)
+        )
     yield parameters_table(estimate, details=details)
     if known := [] if estimate.known is None else estimate.known.physical:
         yield _table(
@@ -85,12 +90,12 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
             ("mode [Hz]", [f"{b.frequency:.0f}" if b.frequency else "-" for b in bounds], False),
         )
     if parts:
-        told = [{n: interval(one.values[n], INTERVAL * one.std[n]) for n in one.values} for one in parts]
+        alone = [{n: interval(one.values[n], INTERVAL * one.std[n]) for n in one.values} for one in parts]
         yield _table(
             "each by itself, ± 2 sigma without what all of them err alike",
             ("", [one.name for one in parts], True),
             *(
-                (f"{p.symbol} {p.unit}", [one.get(p.name, "-") for one in told], False)
+                (f"{p.symbol} {p.unit}", [one.get(p.name, "-") for one in alone], False)
                 for p in rows
                 if p.free and p.of_joint
             ),
@@ -100,6 +105,15 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     if sums := [p for p in rows if p.formula not in ("", p.symbol) and (details or p.name != p.symbol)]:
         yield Text("Sums that the parameters stand for", "heading")
         yield Text("\n".join(f"{p.name} is {p.formula}" for p in sums), "list")
+
+
+def _trust(estimate: Estimate, axis: str) -> str:
+    """Whether to rely on a robot's joint, in a word."""
+    loop, left = estimate.about(Subject.LOOP), estimate.about(Subject.REPEATABLE)
+    passed = {one.passed for one in (*loop, *left) if axis in one.values.get("axes", (axis,))}
+    if False in passed or not estimate.fit.axis_errors[axis] <= POOR_FIT:
+        return "no"
+    return "yes" if loop and passed <= {True} else "unchecked"
 
 
 def _table(caption: str, *columns: Column) -> Table:

@@ -156,11 +156,7 @@ def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray
 
 
 def rows_of_robot(
-    part: IdentifiedRobot,
-    std: FloatArray,
-    held: Mapping[str, float],
-    hidden: Mapping[str, float],
-    nominal: FloatArray,
+    part: IdentifiedRobot, std: FloatArray, held: Mapping[str, float], hidden: Mapping[str, float], nominal: FloatArray
 ) -> tuple[EstimatedParameter, ...]:
     """Rows of the parameters; a hidden spring has at most a bound.
 
