@@ -89,8 +89,7 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
         the two laws along the motion of the run, (samples,).
     """
     experiment, clock, count = kept.experiment, kept.experiment.clock, len(changes)
-    motors = kept.numbers.motors
-    position = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, motors]
+    position = motion_at(kept, clock.lengths.size * np.arange(clock.steps)).position[:, kept.numbers.motors]
     explicit, direct = list[tuple[int, int, FloatArray, FloatArray]](), list[FloatArray]()
     for column, (j, other) in enumerate(changes):
         own = experiment.axes[j]

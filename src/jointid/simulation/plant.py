@@ -194,17 +194,12 @@ class Numbers:
         negative in any part, its springs have a stiffness, and its delays end before the record.
         """
         # Lists: arrays of so few numbers take longer than a joint's simulation of a second.
-        links = len(self.inertials)
-        whole = [number for bands in plant.masses.tolist() for band in bands for number in band[:HIGH]]
-        whole += [
-            number
-            for pieces in plant.springs.tolist()
-            for piece in pieces
-            for number in piece[:BEGIN] + piece[BEGIN + 1 :]
-        ]
+        masses, springs, links = plant.masses.tolist(), plant.springs.tolist(), len(self.inertials)
+        whole = [number for bands in masses for band in bands for number in band[:HIGH]]
+        whole += [number for pieces in springs for one in pieces for number in one[:BEGIN] + one[BEGIN + 1 :]]
         if not all(map(math.isfinite, (*whole, *plant.places.flat, *self.inertials.flat))):
             return False
-        for i, bands in enumerate(plant.masses.tolist()):
+        for i, bands in enumerate(masses):
             rest, last = bands[0], bands[-1]
             inertia, _, _, _, grip, grip_back, winds, *_ = rest
             drift, share = rest[kernels.COULOMB_DRIFT], rest[kernels.PER_TORQUE]
@@ -214,16 +209,13 @@ class Numbers:
             unsigned = not links or min(last[kernels.VISCOUS : kernels.COULOMB_BACK + 1]) >= 0.0
             if not (cone and mass and unsigned and all(a[HIGH] <= b[HIGH] for a, b in pairwise(bands))):
                 return False
-        for pieces in plant.springs.tolist():
-            if min(min(*one[:2], one[kernels.SLIPS], one[kernels.WINDING]) for one in pieces) < 0.0:
+        for pieces in springs:
+            least = min(min(*one[:2], one[kernels.SLIPS], one[kernels.WINDING]) for one in pieces)
+            if least < 0.0 or not all(a[BEGIN] <= b[BEGIN] for a, b in pairwise(pieces)):
                 return False
-            if not all(a[BEGIN] <= b[BEGIN] for a, b in pairwise(pieces)):
-                return False
-        if links:
-            late = [own.get(DELAY, 0.0) for own in self.values]
-            held = [own.get("stiffness", 1.0) for own in self.values]
-            return bool(min(held) > 0.0 and min(late) >= 0.0 and max(late) <= duration)
-        return True
+        late = [own.get(DELAY, 0.0) for own in self.values]
+        held = [own.get("stiffness", 1.0) for own in self.values]
+        return not links or bool(min(held) > 0.0 and min(late) >= 0.0 and max(late) <= duration)
 
     def carrying(self, payload: Sequence[float]) -> Numbers:
         """The robot with a payload on its last link, (10,); or ()."""

@@ -227,8 +227,7 @@ def integrate(
     command[:, done:] = command[:, done - 1 : done] if done else 0.0
     for j, every in enumerate(loop.every):
         excess[j, -(-done // int(every)) :] = 0.0
-    unfinished = status != kernels.FINISHED  # then they may overflow
-    for signal in (command, excess, path.states[: done * parts]) if unfinished else ():
+    for signal in (command, excess, path.states[: done * parts]) if status != kernels.FINISHED else ():  # overflow
         np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return tuple(Outcome)[status], command, excess, tape[: counts[1]], path, counts
 

@@ -456,41 +456,52 @@ def cross_slopes(
 @inline_kernel
 def glide_slopes(
     s: FloatArray, law: SmallLaw, m: FloatArray, moved: FloatArray, mode: int, k: int, end: int, lags: IntArray,
-    before: float, states: FloatArray, modes: NDArray[np.int16], u: FloatArray, post: FloatArray, explicit: FloatArray,
-    columns: IntArray, dq: FloatArray, dv: FloatArray, dz: FloatArray, du: FloatArray,
+    before: float, states: FloatArray, u: FloatArray, post: FloatArray, explicit: FloatArray, columns: IntArray,
+    dq: FloatArray, dv: FloatArray, dz: FloatArray, du: FloatArray,
 ) -> int:  # fmt: skip
-    """Do what `control_slopes` and `cross_slopes` do, at once, while the mode lasts and no limit cuts.
+    """Do what `control_slopes` and `cross_slopes` do, at once, in a mode, while no limit cuts.
 
     Return the next period. Nearly all periods are of this kind.
     """
     wide_vectors()
     a00, a01, a10, a11, b0, b1, c0, c1, _, _, direct, limit = law
-    parts, lasts = lags.size, True
+    parts, b, once = lags.size, mode * lags.size, lags.size == 1 and lags[0] == 0
+    p00, p01, p02, p03 = m[b, 0, 0], m[b, 0, 1], m[b, 0, 2], m[b, 0, 3]
+    p10, p11, p12, p13 = m[b, 1, 0], m[b, 1, 1], m[b, 1, 2], m[b, 1, 3]
+    p20, p21, p22, p23 = m[b, 2, 0], m[b, 2, 1], m[b, 2, 2], m[b, 2, 3]
+    g0, g1, g2, g3 = m[b, 3, 0], m[b, 3, 1], m[b, 3, 2], m[b, 3, 3]
     _read(s, dq, dv)
     for i in range(dz.shape[0]):
         for c in range(LANES):
             s[_Z + i * LANES + c] = dz[i, c]
     while k < end and abs(u[k]) < limit:
-        for part in range(parts):
-            lasts = lasts and modes[k * parts + part] == mode
-        if not lasts:
-            break
         at = np.uint64(k)  # Numba looks for negative indices among the signed
         for i in range(columns.size):
             s[_EXPLICIT + columns[i]] = explicit[at, 0, i]
-        for j in range(LANES):
+        if once:  # what acts is what the law puts out: nothing waits in memory
+            _push(s, moved, b, states[at, 1], states[at, 2] - states[at, 0], states[at, 3], u[at] + post[at])
+            for j in range(LANES):
+                a0, a1, a2, a3 = s[_S + j], s[_S + LANES + j], s[_S + 2 * LANES + j], s[_S + 3 * LANES + j]
+                a, z0, z1 = a2 - a0, s[_Z + j], s[_Z + LANES + j]
+                d = (direct * a0 + s[_EXPLICIT + j]) + (c0 * z0 + c1 * z1)
+                s[_S + j] = ((((s[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
+                s[_S + LANES + j] = (((s[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
+                s[_S + 2 * LANES + j] = ((((s[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
+                s[_S + 3 * LANES + j] = (((s[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
+                s[_Z + j], s[_Z + LANES + j] = b0 * a0 + (a00 * z0 + a01 * z1), b1 * a0 + (a10 * z0 + a11 * z1)
+                s[_D + j] = d
+        for j in range(0 if once else LANES):
             a0, z0, z1 = s[_S + j], s[_Z + j], s[_Z + LANES + j]
             s[_D + j] = (direct * a0 + s[_EXPLICIT + j]) + (c0 * z0 + c1 * z1)
-            s[_Z + j] = b0 * a0 + (a00 * z0 + a01 * z1)
-            s[_Z + LANES + j] = b1 * a0 + (a10 * z0 + a11 * z1)
+            s[_Z + j], s[_Z + LANES + j] = b0 * a0 + (a00 * z0 + a01 * z1), b1 * a0 + (a10 * z0 + a11 * z1)
         for j in range(LANES):
             du[at, j] = s[_D + j]
-        for part in range(parts):
+        for part in range(0 if once else parts):
             source = k - lags[part]
             acts, torque = np.uint64(max(source, 0)), u[source] + post[source] if source >= 0 else before
-            for j in range(LANES if parts > 1 or source < k else 0):
+            for j in range(LANES):
                 s[_D + j] = du[acts, j]
-            _step(s, m, moved, mode * parts + part, states, k * parts + part, torque)
+            _step(s, m, moved, b + part, states, k * parts + part, torque)
         k += 1
     _write(s, dq, dv)
     for i in range(dz.shape[0]):

@@ -173,10 +173,9 @@ def _watch(
     nd, every = v.size, modes.size
     for i in range(nd):
         mode = modes[i]
-        guards[i] = mode * v[i] if mode != 0.0 else _HOLD * grip[i] - abs(held[i])
+        room = mode * v[i] if mode != 0.0 else _HOLD * grip[i] - abs(held[i])
+        guards[i] = room if mode != FREE else np.inf
         guards[every + i] = min(mode * v[i] - bounds[i, 0], bounds[i, 1] - mode * v[i])
-        if mode == FREE:
-            guards[i] = np.inf
     for s in range(pairs.shape[0]):
         i, one, two = nd + s, pairs[s, 0], pairs[s, 1]
         guards[i] = modes[i] * (v[two] - v[one]) if spring[s, kernels.WINDING] > 0.0 else np.inf

@@ -82,10 +82,6 @@ def _fill_factors(
         assign(mass[i], masses[i, int(tape[row, at + i])])
     for s in range(ns):
         laws.take_piece(springs, s, int(tape[row, at + nd + s]), spring)
-    for values in (f, k):
-        for i in range(values.shape[0]):
-            for x in range(values.shape[1]):
-                values[i, x] = 0.0
     for end in range(2):
         side = end - 0.5
         for s in range(ns):
@@ -125,6 +121,8 @@ def _fill_factors(
         assign(law[0], own[x])
         law[0, _WOUND], law[0, _GONE] = w, h * _stretch(mean.T, pairs, nd, x, _SPEED)
         for n in range(kernels.WINDING, _GONE + 1):  # by complex steps
+            if kernels.VISCOUS_DRIFT <= n <= kernels.PER_TORQUE:
+                continue  # of the force
             law[0, n] += _SMALL
             middle = laws.wind(law, 0, way, 0.5 * law[0, _GONE], 0.5 * h, law[0, _WOUND]).imag / _SMALL.imag
             f[_TURNS + n, x] = laws.wind(law, 0, way, law[0, _GONE], h, law[0, _WOUND]).imag / _SMALL.imag
@@ -153,8 +151,9 @@ def _add_seeds(
 def _flush(values: FloatArray) -> None:
     """Set what is next to nothing to 0."""
     for i in range(values.shape[0]):
-        for c in range(values.shape[1]):
-            values[i, c] = values[i, c] if abs(values[i, c]) > NOTHING else 0.0
+        for j in range(values.shape[1]):
+            for c in range(values.shape[2]):
+                values[i, j, c] = values[i, j, c] if abs(values[i, j, c]) > NOTHING else 0.0
 
 
 @inline_kernel
@@ -328,24 +327,19 @@ def follow(
     period, row, step, at_band = np.sum(lengths), 1, 0, STATE + 5 * nd + ns
     while step < steps:
         if step % OFTEN == 0:
-            _flush(dq)
-            _flush(dv)
-            for j in range(axes):
-                _flush(dz[j])
+            _flush(x)
+            _flush(dz)
         if tree is None:  # noqa: SIM102 (it is not compiled for robots)
             if plain:
-                mode, then = int(modes[step * parts]), steps
-                if row < last_row:
-                    then = int(tape[row, kernels.PART]) // parts
+                mode, taped = int(modes[step * parts]), row < last_row
+                then = int(tape[row, kernels.PART]) // parts if taped else steps
                 if filled[mode] and then != step and abs(torques[0, step]) < loop.limits[0, 0]:
                     end = min(step - step % OFTEN + OFTEN, then)
-                    gone_to = affine.glide_slopes(
-                        in_lanes, law, moves, pushes, mode, step, end, lags[0], torques_before[0], kept, modes,
-                        torques[0], post[0], explicit[0], columns, dq, dv, dz[0], command[0],
+                    step = affine.glide_slopes(
+                        in_lanes, law, moves, pushes, mode, step, end, lags[0], torques_before[0], kept, torques[0],
+                        post[0], explicit[0], columns, dq, dv, dz[0], command[0],
                     )  # fmt: skip
-                    if gone_to > step:
-                        step = gone_to
-                        continue
+                    continue
         for j in range(axes if controlled else 0):
             own = step // every[j]
             if step % every[j] != 0:  # this controller holds
@@ -389,9 +383,10 @@ def follow(
                 h = tape[row, kernels.LENGTH]
                 if h > 0.0:
                     _mean_motion(tape, row, nd, mean, change)
-                    for i in range(nd):
-                        for j in range(nd):
-                            M[i, j], K[i, j], C[i, j] = 0.0, 0.0, 0.0
+                    for values in (f, k, M, K, C):
+                        for i in range(values.shape[0]):
+                            for j in range(values.shape[1]):
+                                values[i, j] = 0.0
                     if tree is not None:
                         place, speed, turn = mean[_PLACE, :n], mean[_SPEED, :n], mean[_CHANGE, :n]
                         linearised_equations(tree, inertials, place, speed, turn, room, M, K, C)
