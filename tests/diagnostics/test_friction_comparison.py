@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jointid.common.messages import ignore_progress
-from jointid.diagnostics.law_comparison import LawComparison, compare_laws
+from jointid.diagnostics import law_comparison
+from jointid.diagnostics.law_comparison import compare_laws
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -15,13 +16,15 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulate
 from tests.plants import RISES, prismatic, rigid, slow
 
+Axis = tuple[Record, ClosedLoop, dict[str, float]]
+
 compare_frictions = partial(
     compare_laws, kind="friction", filtering=None, parameters=None, didim=None, progress=ignore_progress
 )
 
 
 @pytest.fixture(scope="module")
-def rising() -> tuple[Record, ClosedLoop, dict[str, float]]:
+def rising() -> Axis:
     """A rigid axis of symmetric friction that rises towards standstill, its record, and what it has."""
     case = rigid(prismatic(1))
     loop, values = slow(case, RISES)
@@ -31,39 +34,34 @@ def rising() -> tuple[Record, ClosedLoop, dict[str, float]]:
     return record.without("motor_position", "load_position"), loop, values
 
 
-@pytest.fixture(scope="module")
-def found(rising: tuple[Record, ClosedLoop, dict[str, float]]) -> LawComparison:
-    record, loop, _ = rising
-    return compare_frictions(record, replace(loop, joint=loop.joint.linear))
-
-
 @pytest.mark.slow
-def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(
-    found: LawComparison, rising: tuple[Record, ClosedLoop, dict[str, float]]
-) -> None:
-    _, _, values = rising
+def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(rising: Axis) -> None:
+    record, loop, values = rising
+    found = compare_frictions(record, replace(loop, joint=loop.joint.linear))
     assert found.shown.name == "stribeck"
     for name, std in found.shown.std.items():
         assert abs(found.shown.values[name] - values[name]) < 3.5 * std, name
     by_name = {one.name: one for one in found.laws}
     assert set(by_name) == set(FRICTIONS)
     assert by_name["asymmetric-stribeck"].predicts_as_well
-    assert not by_name["symmetric"].predicts_as_well
-    assert not by_name["asymmetric"].predicts_as_well
+    assert not (by_name["symmetric"].predicts_as_well or by_name["asymmetric"].predicts_as_well)
     assert found.answer.code == "another_friction"
 
 
-def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found: LawComparison) -> None:
-    simple, both = (next(one for one in found.laws if one.name == name) for name in ("stribeck", "asymmetric-stribeck"))
+def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(
+    rising: Axis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("stribeck", "asymmetric-stribeck")
+    monkeypatch.setattr(law_comparison, "FRICTIONS", {name: FRICTIONS[name] for name in names})
+    laws = {one.name: one for one in compare_frictions(*rising[:2]).laws}
+    simple, both = (laws[name] for name in names)
     forwards, backwards = both.values["coulomb_forwards"], both.values["coulomb_backwards"]
     assert 0.5 * (forwards + backwards) == pytest.approx(simple.values["coulomb"], rel=2e-3)
     assert 0.5 * (forwards - backwards) == pytest.approx(3.04, rel=2e-2)  # the offset
 
 
 @pytest.mark.slow
-def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
-    rising: tuple[Record, ClosedLoop, dict[str, float]],
-) -> None:
+def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(rising: Axis) -> None:
     record, loop, values = rising
     plain = replace(loop, joint=loop.joint.linear)
     offset = next(p for p in plain.joint.parameters if p.name == "offset").fix(values["offset"])

@@ -27,7 +27,9 @@ def plain() -> tuple[Case, LawComparison]:
     record = cut(case.clean, 0, 4000)
     noise = 0.02 * np.std(record.torque.values) * np.random.default_rng(2).standard_normal(4000)
     record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
-    return case, compare_springs(record, case.loop, didim=ji.DIDIM(frequency=case.mode))
+    with pytest.MonkeyPatch.context() as patch:
+        judging(patch, "linear", "backlash", "three-piece")  # the fewest parameters, and the most
+        return case, compare_springs(record, case.loop, didim=ji.DIDIM(frequency=case.mode))
 
 
 def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: tuple[Case, LawComparison]) -> None:

@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "arm.xml").write_text(ji.export(replace(two().robot, joints=joints), "mjcf").text, encoding="utf-8")
     (folder / "robot.toml").write_text(ROBOT, encoding="utf-8")
     robot: ji.robots.Robot = load(folder / "robot.toml").robot
-    t = np.arange(6000) * 1e-3
+    t = np.arange(3000) * 1e-3
     q = np.column_stack([0.5 * np.sin(2.1 * t) + 0.2 * np.sin(5.3 * t), 0.5 * np.sin(3.2 * t) - 0.2 * np.cos(4.4 * t)])
     ratios = np.array([100.0, 50.0])
     current, turned = played(robot, q, 1) / (ratios * 0.1), np.degrees(q * ratios)
