@@ -92,17 +92,12 @@ def test_a_spring_that_grew_softer_is_found() -> None:
     assert row.difference == pytest.approx(-0.05 * 8e5, abs=4 * (row.std or 0.0))
 
 
-@pytest.mark.parametrize(
-    ("place", "value"),
-    [
-        (("settings", "system", "model"), "flexible"),
-        (("settings", "system", "kind"), "prismatic"),
-        (("settings", "system", "friction"), {"name": "asymmetric"}),
-        (("settings", "system", "transmission"), {"side": "load", "motor_per_load": 100.0}),
-        (("data", "torque_unit"), "A"),
-        (("parameters", "inertia", "unit"), "kg"),
-    ],
-)
+@pytest.mark.parametrize(("place", "value"), [
+    (("settings", "system", "model"), "flexible"), (("settings", "system", "kind"), "prismatic"),
+    (("settings", "system", "friction"), {"name": "asymmetric"}), (("data", "torque_unit"), "A"),
+    (("settings", "system", "transmission"), {"side": "load", "motor_per_load": 100.0}),
+    (("parameters", "inertia", "unit"), "kg"),
+])  # fmt: skip
 def test_what_cannot_be_compared_is_refused(place: tuple[str, ...], value: Any) -> None:
     one = of_rigid(1)
     other = part = deepcopy(one)

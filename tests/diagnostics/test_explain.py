@@ -16,6 +16,7 @@ from jointid.diagnostics.model_free import find_plain_cause, find_steps, find_un
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
 from jointid.models.controllers import Cascade, FirstOrder, with_numbers
+from jointid.models.controllers.filters import MovingAverage
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
@@ -25,17 +26,11 @@ from tests.estimates import identify
 from tests.mistakes import MISTAKES, MORE, AxisName, Mistake, axis, cut, tell, without_mistake, without_positions
 
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
+SLOWER = ("torque turned round", "reference in degrees", "sample time ten times as long")
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "torque and reference swapped",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("torque turned round", "reference in degrees", "sample time ten times as long")
-        ),
-    ],
+    "name", ["torque and reference swapped", *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)]
 )
 def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: str) -> None:
     """No estimate is needed, and the cause stands before the error that was raised."""
@@ -66,6 +61,9 @@ def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
     declared = Case(record, loop, ji.Filtering().resolve(axis("rigid").rate, "rigid"))
     tried = [one.factor for one in list_cases(declared) if one.change is not None and one.change.name == "sample_time"]
     assert tried == [0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0]
+    for kind, slower in ((FirstOrder(1e-3), True), (MovingAverage(4), False)):  # which would be longer at a slower rate
+        other = declared.under(replace(loop.controller, velocity_filter=kind))
+        assert (searching._pose(other, other.loop).axis.law.period > declared.period) is slower
 
 
 def test_no_time_constant_is_near_a_filter_of_another_kind() -> None:

@@ -103,14 +103,11 @@ def test_what_is_wrong_is_named_first(fault: str, seed: int, named: str) -> None
     assert {"cubic_spring", "backlash"} - {one.test.name for one in check.findings}  # two words for one thing
 
 
-@pytest.mark.parametrize(
-    ("fault", "seed", "named"),
-    [
-        ("saturation", 605, "torque_saturation"),
-        pytest.param("gravity", 610, "gravity", marks=pytest.mark.slow),
-        pytest.param("uneven friction", 622, "uneven_friction", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("fault", "seed", "named"), [
+    ("saturation", 605, "torque_saturation"),
+    pytest.param("gravity", 610, "gravity", marks=pytest.mark.slow),
+    pytest.param("uneven friction", 622, "uneven_friction", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_what_adds_a_force_along_the_motion_is_named_with_its_size(fault: str, seed: int, named: str) -> None:
     made = spoiled(seed, fault, 5.0)
     check = faults_of(identify(made.record, made.axis.loop), made.record)

@@ -1,14 +1,15 @@
 """The law that a drive may run instead of the declared one: an integral that takes in the present sample."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.changes import AVERAGED, MEASURED_VELOCITY, PRESENT_SAMPLE, list_feedback_laws
+from jointid.diagnostics.changes import AVERAGED, MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, list_feedback_laws
 from jointid.diagnostics.search import LawTest, choose_law
-from jointid.diagnostics.suspects import REFERENCE_DELAY, AxisFaults, FaultTest
+from jointid.diagnostics.suspects import DELAY, REFERENCE_DELAY, AxisFaults, FaultTest
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, POSITION, REFERENCE, Cascade, FirstOrder, respond, with_present_sample
 from jointid.models.controllers.sampled import INPUTS
@@ -119,3 +120,10 @@ def test_no_law_of_the_reference_is_chosen_that_leaves_more_than_the_declared_on
     ]
     found = choose_law(laws)
     assert found is (None if chosen is None else laws[chosen])
+
+
+def test_a_fault_that_is_impossible_and_explains_more_hides_no_law() -> None:
+    early = FaultTest(DELAY, (), 0.0, -1e-3, 1e-5, 1e-9)
+    law = LawTest(None, None, None, FaultTest(PERIOD, (), 0.0, 1.0, 0.1, 1e-9), 1.0)  # type: ignore[arg-type]
+    assert law.explains(SimpleNamespace(tests=[early]))  # type: ignore[arg-type]
+    assert not law.explains(SimpleNamespace(tests=[replace(early, size=1e-3)]))  # type: ignore[arg-type]

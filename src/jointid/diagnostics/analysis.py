@@ -37,8 +37,7 @@ _PARTS = 8  # of the record, each as long as a window of the spectra; windows ov
 _LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
 _SHORTEST = 64
 _LINES = 400  # of the response
-_LOWEST = 0.1  # Hz
-_ABOVE = 3.0  # times the fastest of the three frequencies, at least
+_LOWEST, _ABOVE = 0.1, 3.0  # Hz; times the fastest of the three frequencies, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)

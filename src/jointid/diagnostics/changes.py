@@ -386,8 +386,16 @@ AVERAGED = Fault(
     remedy="declare it as reference_average, or half of it as reference_delay",
 )  # fmt: skip
 WHOLE = tuple(one.name for one in INTERPOLATIONS.values())  # that a drive has or has not, so that their size is 1
-OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, TORQUE_FILTER, *INTERPOLATIONS.values())
+DEAD_TIME = Fault("dead_time", "delay of the torque and of its log")
+OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, TORQUE_FILTER, DEAD_TIME, *INTERPOLATIONS.values())
 """Those that differ in what they make of the reference, and a torque that is as late."""
+_TIMED = {
+    AVERAGED: ("reference_average", "the drive averages the reference over {} ms"),
+    REFERENCE_DELAY: ("reference_delay", "the law sees the reference {} ms late"),
+    TORQUE_FILTER: ("torque_filters", "the torque passes a filter of first order, such as a current loop, of {} ms"),
+    DEAD_TIME: ("delay", "the torque is late, as by a dead time of the drive, by {} ms"),
+}  # fmt: skip
+OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are said where a record does not exclude them
 OTHER_LAWS = tuple(one.name for one in (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *OF_REFERENCE))
 
 
@@ -396,10 +404,10 @@ def list_changes(case: Case) -> Iterator[Change]:
     yield from CHANGES
     for laws in list_variants(case.controller, case.record, case.torque.sample_time, case.period):
         for law in (one for one in laws if one.fault is PERIOD or one.fault.name in WHOLE):
-            said = Cause(law.fault.name, f"{law.words}: declare {law.remedy}", 1 / law.rate if law.rate else None)
-            yield Change(
-                said.name, partial(lambda law, case: [case.under(law.controller)], law), lambda *_, said=said: [said]
-            )
+            period = law.controller.period if law.fault is PERIOD else None
+            said = Cause(law.fault.name, f"{law.words}: declare {law.remedy}", period)
+            correct = partial(lambda law, case: [case.under(law.controller)], law)
+            yield Change(said.name, correct, lambda *_, said=said: [said])
 
 
 def list_variants(law: Any, record: Record, log: float, period: float) -> Iterator[tuple[OtherLaw, ...]]:
@@ -415,7 +423,7 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
         said, filled = f"the reference is {_DONE[way]} between its samples", replace(law, interpolation=way)
         yield (OtherLaw(INTERPOLATIONS[way], said, f'interpolation = "{way}"', filled),)
     if getattr(law, "reference_average", None) == 0.0:
-        yield (average(law, SCREENED * log),)
+        yield (change_time(law, AVERAGED, SCREENED * log),)
     yield from ((one,) for one in list_feedback_laws(law, period))
     if getattr(law, "period", period) is not None:
         return
@@ -431,23 +439,18 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
             OtherLaw(
                 PERIOD, f"the controller runs faster than the log, at {1e-3 * times / log:.4g} kHz{more}",
                 f'its period, {1e3 * log / times:.4g} ms, and interpolation = "{other or used}"',
-                replace(faster, period=log / times), times / log,
+                replace(faster, period=log / times),
             )
             for times in _TIMES_FASTER
         )  # fmt: skip
 
 
-def average(law: Any, mean: float) -> OtherLaw:
-    """Return a law that averages its reference over a time, s."""
-    said = f"the drive averages the reference over {number(1e3 * mean, 3)} ms"
-    return OtherLaw(AVERAGED, said, f"reference_average = {mean:.6g}", replace(law, reference_average=mean))
-
-
-def lag_torque(law: Any, constant: float) -> OtherLaw:
-    """Return a law whose torque passes a filter of first order, as through a current loop; time constant in s."""
-    said = f"the torque passes a filter, as the current loop is one, of first order with {number(1e3 * constant, 3)} ms"
-    remedy = f'torque_filters = [{{ kind = "first_order", time_constant = {constant:.4g} }}]'
-    return OtherLaw(TORQUE_FILTER, said, remedy, replace(law, torque_filters=(FirstOrder(constant),)))
+def change_time(law: Any, fault: Fault, time: float) -> OtherLaw:
+    """Return a law with another time of its reference or its torque, s."""
+    key, said = _TIMED[fault]
+    shown = f'[{{ kind = "first_order", time_constant = {time:.4g} }}]' if fault is TORQUE_FILTER else f"{time:.5g}"
+    changed = replace(law, **{key: (FirstOrder(time),) if fault is TORQUE_FILTER else time})
+    return OtherLaw(fault, said.format(number(1e3 * time, 3)), f"{key} = {shown}", changed)
 
 
 def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:

@@ -28,15 +28,8 @@ from jointid.common.errors import FaultsError, JointidError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
+from jointid.diagnostics import model_free
 from jointid.diagnostics.changes import OTHER_LAWS, Case, Cause, is_small, list_changes
-from jointid.diagnostics.model_free import (
-    MEMORY,
-    compare_law,
-    excludes,
-    find_plain_cause,
-    find_steps,
-    find_unexplained_share,
-)
 from jointid.diagnostics.score import LEVEL, SolvedLoop
 from jointid.diagnostics.suspects import FaultTest, Finding
 from jointid.estimation.identify import identify_record, part_of
@@ -48,6 +41,7 @@ from jointid.estimation.result.verdict import POOR_FIT, Reason
 from jointid.estimation.rigid_starts import rigid_starts
 from jointid.estimation.spring_search import frequencies_to_try, rigid_cutoff, start_with_mode
 from jointid.models.controllers import numbers_of
+from jointid.models.controllers.filters import as_filter
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import still_faults
 from jointid.records.record import Record
@@ -164,10 +158,10 @@ def explain_misfit(
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
-    responses = find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
+    responses = model_free.find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     strained = all(p.value is not None for p in rows) and any(p.of_joint and p.at_bound is not None for p in rows)
-    if not (poor or strained or find_steps(record) or error > _FAR_MORE * responses > 0):
+    if not (poor or strained or model_free.find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
     alone = len(findings or ()) == 1  # a number beside a second fault is not all that is wrong
     fits = [f.left for f in findings or () if f.left is not None and (alone or f.law or f.value is None)]
@@ -242,7 +236,7 @@ def find_causes(
         free: names of free numbers outside the joint, as the delay; those of the estimate, if there is one.
     """
     left = math.inf if estimate is None else estimate.fit.filtered_error
-    if (plain := find_plain_cause(record)) is not None:
+    if (plain := model_free.find_plain_cause(record)) is not None:
         return Causes(left, plain=plain)
     filtering = Filtering()
     if estimate is not None:
@@ -251,7 +245,7 @@ def find_causes(
     declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
     declared = replace(declared, filtering=filtering.resolve(declared.torque.sample_time, loop.joint.model))
     posed = _pose(declared, loop)
-    responses = 0.0 if posed is None else find_unexplained_share(posed, declared.reference.values)
+    responses = 0.0 if posed is None else model_free.find_unexplained_share(posed, declared.reference.values)
     if responses > _UNRELATED and not loop.joint.forces:  # those of the position answer no reference
         return Causes(left, unexplained=responses)
     tried = list_cases(declared)
@@ -265,8 +259,8 @@ def find_causes(
     left = min((left, *(fit.error for fit in as_declared)))
     for fit in fits[:1]:
         # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
-        memory = MEMORY if fit.case.free else MEMORY * max(fit.case.factor or 1.0, 1.0)
-        responses = find_unexplained_share(fit.problem, fit.case.reference.values, memory)
+        memory = model_free.MEMORY if fit.case.free else model_free.MEMORY * max(fit.case.factor or 1.0, 1.0)
+        responses = model_free.find_unexplained_share(fit.problem, fit.case.reference.values, memory)
     candidates = [
         replace(cause, left=fit.error)
         for fit in fits
@@ -283,9 +277,8 @@ def find_causes(
     # In a loop that rings for long, responses as short as these leave much, too.
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
     more = best and best.left > (min(times * responses, _FITS) if responses > 0 else _FITS)
-    solved = next((one for one in fits if best and not more and one.error == best.left and one.case.change), None)
-    if solved is not None:
-        likeliest = SolvedLoop(solved.problem, solved.x).tests[:1]
+    for fit in [one for one in fits if best and not more and one.error == best.left and one.case.change][:1]:
+        likeliest = SolvedLoop(fit.problem, fit.x).tests[:1]
         more = any(one.p_value <= LEVEL and not one.possible for one in likeliest)
     return Causes(left, () if more else explaining, best if more else None, responses, partly=partly)
 
@@ -297,16 +290,16 @@ def list_cases(declared: Case) -> list[Case]:
     torque from the logged motor position, a corrected law or log must, too.
     """
     record, loop = declared.record, declared.loop
-    law, found = compare_law(record, loop), list[Case]()
+    law, found = model_free.compare_law(record, loop), list[Case]()
     for change in list_changes(declared):
         for case in change.correct(declared):
             if record.computed and case.record.torque is not record.torque:
                 continue
             excluded = case.free in declared.beside
             if law is not None and law.holds and case.record is record:
-                excluded |= all(excludes(record, loop, one.controller) for one in case.loops)
+                excluded |= all(model_free.excludes(record, loop, one.controller) for one in case.loops)
             elif law is not None and law.holds:
-                excluded |= not getattr(compare_law(case.record, case.loop), "holds", True)
+                excluded |= not getattr(model_free.compare_law(case.record, case.loop), "holds", True)
             found += [] if excluded else [replace(case, change=change)]
     return [declared, *sorted(found, key=lambda one: len(one.starts))]  # the cheapest first
 
@@ -392,8 +385,7 @@ class Fit:
 
 def fit_rigid(tried: Sequence[Case]) -> tuple[list[Fit], bool]:
     """Fit each case with a rigid joint, a flexible one far below its resonance; see `_race`."""
-    loss = _ROUGHLY if tried[0].loop.joint.model == "flexible" else 0.0
-    return _race([_list_rigid_starts(one) for one in tried], loss)
+    return _race([_list_rigid_starts(one) for one in tried], _ROUGHLY * (tried[0].loop.joint.model == "flexible"))
 
 
 def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> tuple[list[Fit], bool]:
@@ -461,8 +453,11 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
     """Problem of a case with its number free, or None."""
     around = [one for one in case.beside if one in OF_LOG or one in numbers_of(loop.controller)]
     filtering, log = case.filtering, case.torque.sample_time
-    if case.period < (slower := log / math.ceil(max(_AS_FAST, log / _FASTEST))):
-        law: Any = loop.controller
+    law: Any = loop.controller
+    filters = (as_filter(getattr(law, "velocity_filter", (1.0,))), *getattr(law, "torque_filters", ()))
+    each = ([one.coefficients(by * case.period) for by in (1.0, 0.5)] for one in filters)
+    counted = any(one == other != ((1.0,), (1.0,)) for one, other in each)  # in samples: longer at a longer period
+    if not counted and case.period < (slower := log / math.ceil(max(_AS_FAST, log / _FASTEST))):
         with contextlib.suppress(JointidError):  # its filters and its position loop do not allow every period
             replace(law, period=slower).law(log)
             loop = replace(loop, controller=replace(law, period=slower))

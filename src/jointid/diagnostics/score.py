@@ -338,8 +338,7 @@ class SolvedLoop:
     def list_rivals(self, test: FaultTest) -> tuple[FaultTest, ...]:
         """Significant tests of other faults that are nearly as likely."""
         least = test.strength**2 - RIVAL
-        likely = (one for one in self.tests if one.p_value <= LEVEL and one.strength**2 > least)
-        return tuple(one for one in likely if one is not test)
+        return tuple(x for x in self.tests if x is not test and x.p_value <= LEVEL and x.strength**2 > least)
 
     def shifts_to(self, *each: Mapping[str, float]) -> dict[str, ParameterShift]:
         """Return the shifts of the joint's parameters to other values, the largest of several."""

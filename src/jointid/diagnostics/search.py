@@ -30,27 +30,16 @@ from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.text import number
+from jointid.diagnostics import changes
 from jointid.diagnostics.axis_torques import AxisTorques, is_noise
-from jointid.diagnostics.changes import (
-    AVERAGED,
-    INTERPOLATIONS,
-    MEASURED_VELOCITY,
-    OF_REFERENCE,
-    OTHER_LAWS,
-    PERIOD,
-    PRESENT_SAMPLE,
-    WHOLE,
-    average,
-    lag_torque,
-    list_variants,
-)
 from jointid.diagnostics.model_free import excludes, offer
 from jointid.diagnostics.score import LEVEL, RIVAL, SolvedLoop, score
 from jointid.diagnostics.suspects import (
     LIMIT,
+    LOG_DELAY,
     LOG_GAIN,
     REFERENCE_DELAY,
+    TORQUE_FILTER,
     AxisFaults,
     FaultSignature,
     FaultTest,
@@ -77,6 +66,7 @@ _FEWEST = 4  # rows to a column, of each fault one, and of a block in time
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not the cause
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
+_LITTLE = 0.1  # of twice the logarithm of the first fault's likelihood ratio: that of a remainder
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 
 _BLOCKS, _SHORTEST = 40, 2  # of a residual, in time; of a part
@@ -101,18 +91,19 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
     if np.linalg.norm(problem.residual(initial.x)) > exact:
         initial = replace(initial, x=descend(problem, initial.x, _TOLERANCE).x)
     found = initial
-    findings, suspected, vague = list[Finding](), list[Finding](), False
+    findings, suspected, last = list[Finding](), list[Finding](), None
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
         laws = test_laws(found)
         stated = choose_law([one for one in laws if one.explains(found)])
         if stated is not None:
             alike = [one for one in laws if one is not stated and one.possible and one.as_likely(stated)]
             findings.append(find_other_law(found, stated, alike))
-            named = (*found.named, *(one.law.fault.name for one in (stated, *alike)))
+            named = (*found.named, *(fault.name for fault in (stated.law.fault, *stated.test.alike)))
             found = replace(found, problem=stated.problem, x=stated.x, named=named)
         elif found.tests and found.tests[0].p_value <= LEVEL:
             possible = [one for one in (found.tests[0], *found.list_rivals(found.tests[0])) if one.possible]
-            if vague := not possible:
+            if not possible:
+                last = found.tests[0]
                 break
             finding, found = _find(found, possible[0])
             findings.append(finding)
@@ -126,7 +117,12 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, suspected, found = [], [], initial
     joint, left = problem.loop.joint, found.residual
-    vague |= len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings)
+    if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
+        last = findings[-1].test
+    enough = _LITTLE * max((one.test.strength**2 for one in findings[:1]), default=0.0)
+    vague = last is not None and last.strength**2 > enough
+    if last is not None and not vague:  # the first explains so much more that what comes last is its remainder
+        findings = [one for one in findings if one.test.strength**2 > enough]
     explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)
@@ -206,11 +202,10 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 
 # Other laws
 
-_BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
+_BETWEEN = 0.2  # of what a law changes: so much less is still a rate, or a delay, next to the one that is tried
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
 _LONGEST_LAG = 4e-3  # s: of a current loop or a setpoint filter; a longer one is another mistake
-_SELDOM = (MEASURED_VELOCITY, AVERAGED)  # those that are tried only where they are significant
-_OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are said where a record does not exclude them
+_SHARES_OF_LAG = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2)  # the delays that are tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,8 +225,8 @@ class LawTest:
 
     @property
     def possible(self) -> bool:
-        """Whether the record admits the other law, or a rate near it."""
-        roughly = _BETWEEN_RATES if self.test.fault is PERIOD else 0.0
+        """Whether the record admits the other law, or one near it."""
+        roughly = _BETWEEN if self.test.fault in (changes.PERIOD, changes.DEAD_TIME) else 0.0
         return 1 - self.test.size <= max(INTERVAL * self.test.std, roughly)
 
     @property
@@ -244,7 +239,7 @@ class LawTest:
         test = self.test
         if not self.possible or test.size <= 0 or test.p_value > LEVEL:
             return False
-        return self.likelihood >= max((one.strength**2 for one in found.tests), default=0.0) - RIVAL
+        return self.likelihood >= max((one.strength**2 for one in found.tests if one.possible), default=0.0) - RIVAL
 
     def leaves_as_little(self, other: LawTest) -> bool:
         """Whether the other law leaves hardly less, by its own noise."""
@@ -266,9 +261,9 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
     nearly the least residual, the first in the list is the simplest.
     """
     likeliest = max(explaining, key=lambda one: one.likelihood, default=None)
-    if likeliest is None or likeliest.test.fault not in OF_REFERENCE:
+    if likeliest is None or likeliest.test.fault not in changes.OF_REFERENCE:
         return likeliest
-    likely = [one for one in explaining if one.test.fault in OF_REFERENCE and one.as_likely(likeliest)]
+    likely = [one for one in explaining if one.test.fault in changes.OF_REFERENCE and one.as_likely(likeliest)]
     best = max(likely, key=lambda one: one.gain)
     return next((one for one in likely if one.leaves_as_little(best)), None)
 
@@ -281,20 +276,20 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
         return tests
     law = problem.loop.controller
     fixed = not numbers_of(law).keys() & {p.name for p in problem.free}  # a free number may stand for any law
-    for first, *others in list_variants(law, record, problem.sample_time, problem.axis.law.period):
-        kin = OF_REFERENCE if first.fault is AVERAGED else (first.fault,)
-        if {one.name for one in kin} & {*found.named} or not (fixed or first.fault.name in WHOLE):
+    for first, *others in changes.list_variants(law, record, problem.sample_time, problem.axis.law.period):
+        kin = changes.OF_REFERENCE if first.fault is changes.AVERAGED else (first.fault,)
+        if {one.name for one in kin} & {*found.named} or not (fixed or first.fault.name in changes.WHOLE):
             continue
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
             moved = found.residual - problem.under(first.controller, record).residual(x)
             step, start = found.test_law(first.fault, moved), x
             possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST
-            if not (step.p_value <= LEVEL if first.fault in _SELDOM else possible):
+            late = first.fault is changes.AVERAGED
+            if not (step.p_value <= LEVEL if late or first.fault is changes.MEASURED_VELOCITY else possible):
                 continue
-            late = first.fault is AVERAGED
             for other, near in _list_late(problem, x) if late else ((one, None) for one in (first, *others)):
                 one = _test_law(found, other, record, start if near is None else near)
-                if one is None or (other.fault is PERIOD and not one.possible):
+                if one is None or (other.fault is changes.PERIOD and not one.possible):
                     break
                 start = one.x
                 if found.proved is None or not excludes(record, found.proved, other.controller):
@@ -303,9 +298,9 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
 
 
 def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[OtherLaw, FloatArray]]:
-    """Averaged and delayed reference, by its delay, and a torque that lags; each with its first parameters."""
+    """Averaged and delayed reference, by its delay, and a torque that lags or is late; each with first parameters."""
     law: Any = problem.loop.controller
-    period = float(problem.axis.law.period)
+    period, measured = float(problem.axis.law.period), problem.axis.tap is Tap.MEASURED
 
     def find(controller: Any, name: str, start: float, near: FloatArray) -> tuple[float, FloatArray]:
         wider = problem.under(controller).freeing(name)
@@ -313,14 +308,22 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
         return found[name], problem.vector(found)
 
     late, near = find(law, REFERENCE_DELAY.name, law.reference_delay, x)
-    words, more = f"the law sees the reference {number(1e3 * late, 3)} ms late", late - law.reference_delay
-    delayed = OtherLaw(REFERENCE_DELAY, words, f"reference_delay = {late:.4g}", replace(law, reference_delay=late))
-    laws = [(average(law, period * max(round(2.0 * more / period + 1.0), 2)), near), (delayed, near)]
+    more = late - law.reference_delay
+    mean = period * max(round(2.0 * more / period + 1.0), 2)
+    laws = [(changes.change_time(law, *one), near) for one in ((changes.AVERAGED, mean), (REFERENCE_DELAY, late))]
     if more > 0.0 and not getattr(law, "torque_filters", True):
         with contextlib.suppress(JointidError):  # the lag vanishes
-            lag, near = find(lag_torque(law, more).controller, "torque_filters.0.time_constant", more, near)
-            place = 0 if problem.axis.tap is Tap.MEASURED else len(laws)  # which lags behind its setpoint
-            laws[place:place] = [(lag_torque(law, lag), near)] if lag < _LONGEST_LAG else []
+            lagging = changes.change_time(law, TORQUE_FILTER, more).controller
+            lag, near = find(lagging, "torque_filters.0.time_constant", more, near)
+            lags = [changes.change_time(law, TORQUE_FILTER, lag)] if lag < _LONGEST_LAG else []
+            if lags and measured:  # in its log a late torque steps: no derivative shows its delay
+                each = sorted({law.delay + period * max(round(share * lag / period), 1) for share in _SHARES_OF_LAG})
+                delays = [changes.change_time(law, changes.DEAD_TIME, one) for one in each]
+                basis = orthonormal_basis(problem.linearise(near)[1], ROUNDING)
+                left = (problem.under(one.controller).residual(near) for one in delays)
+                lags.append(delays[int(np.argmin([one @ one - np.sum((basis.T @ one) ** 2) for one in left]))])
+            place = 0 if measured else len(laws)  # which lags behind its setpoint
+            laws[place:place] = [(one, near) for one in lags]
     return laws
 
 
@@ -330,6 +333,8 @@ def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArra
     x = descend(other, start, _TOLERANCE).x
     left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)
+    if law.fault is REFERENCE_DELAY and record.injected is None:  # nothing else tells when the torque was
+        test = replace(test, alike=(LOG_DELAY,))
     return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None
 
 
@@ -338,7 +343,7 @@ def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] =
     left = other.problem.filtered_error(other.problem.residual(other.x))
     others = tuple(one.law for one in sorted(alike, key=lambda one: -one.likelihood))
     shifts = found.shifts_to(*(one.problem.values(one.x) for one in (other, *alike)))
-    value = 1 / other.law.rate if other.law.rate else None
+    value = other.law.controller.period if other.law.fault is changes.PERIOD else None
     return Finding(other.test, value, found.list_rivals(other.test), shifts, other.law, left, others)
 
 
@@ -348,14 +353,15 @@ def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]
     A rate must not be excluded by another one. The shift of stiffness or inertia counts first.
     """
     moving = list[tuple[float, float, Finding]]()
-    for one in (one for one in tests if one.possible and one.test.fault in _OPEN):
+    for one in (one for one in tests if one.possible and one.test.fault in changes.OPEN):
         kin = (other for other in tests if other.test.fault == one.test.fault)
         if one.as_likely(max(kin, key=lambda other: other.likelihood)):
             finding = find_other_law(found, one)
             sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
-            asked, most = sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
-            moving += [(asked, most, finding)] if most > INTERVAL else []
-    return [one for *_, one in sorted(moving, key=lambda one: one[:2])[-1:]]
+            moving.append(
+                (sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0), finding)
+            )
+    return [one for *_, one in sorted((one for one in moving if one[1] > INTERVAL), key=lambda one: one[:2])[-1:]]
 
 
 # Of a robot
@@ -375,7 +381,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
     first: tuple[FaultTest, ...] = ()
 
     def explains(test: FaultTest, column: FloatArray) -> bool:
-        if test.name in WHOLE:
+        if test.name in changes.WHOLE:
             return abs(test.size - 1.0) < max(_SURELY * test.std, _NEARLY)
         apart = column - basis @ (basis.T @ column)
         size, left = float(apart @ apart), float(np.sum(rest[rows[test.axis]] ** 2))
@@ -388,9 +394,9 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
         tests = score(residual, own, shapes, declared, where, along_measured_motion=torques.along_measured_motion)
         first = first or tests
         # What one drive does otherwise moves the other joints: which of them do so, too, is seen once it is declared.
-        gone = OTHER_LAWS if any(one.test.name in OTHER_LAWS for each in found for one in each) else ()
+        gone = changes.OTHER_LAWS if any(one.test.name in changes.OTHER_LAWS for each in found for one in each) else ()
         likely = [one for one in tests if one.p_value <= LEVEL and one.name not in gone and len(found[one.axis]) < MOST]
-        likely.sort(key=lambda one: -one.strength / (_AS_STRONG if one.name in OTHER_LAWS else 1.0))
+        likely.sort(key=lambda one: -one.strength / (_AS_STRONG if one.name in changes.OTHER_LAWS else 1.0))
         columns = {(one.axis, one.fault, one.shape): one.column for one in shapes}
         explaining = (one for one in likely if explains(one, columns[one.axis, one.fault, one.shape]))
         if (test := next(explaining, None)) is None:

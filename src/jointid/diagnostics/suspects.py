@@ -186,14 +186,12 @@ class OtherLaw:
         words: clause on what the drive does.
         remedy: its declaration.
         controller: with that law.
-        rate: of the law, Hz, if that differs.
     """
 
     fault: Fault
     words: str
     remedy: str
     controller: Any = None
-    rate: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

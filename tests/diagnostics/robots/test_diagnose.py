@@ -63,17 +63,13 @@ LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
 }
 
 
+WRONG = ("log_gain", "torque_sign")
+SLOWER = [*((6, joint, fault) for fault in WRONG for joint in range(6)), (6, 1, "log_delay")]
+
+
 @pytest.mark.parametrize(
     ("count", "joint", "fault"),
-    [
-        *((3, 1, fault) for fault in ("log_gain", "torque_sign")),
-        *(
-            pytest.param(6, joint, fault, marks=pytest.mark.slow)
-            for fault in ("log_gain", "torque_sign")
-            for joint in range(6)
-        ),
-        pytest.param(6, 1, "log_delay", marks=pytest.mark.slow),
-    ],
+    [*((3, 1, fault) for fault in WRONG), *(pytest.param(*one, marks=pytest.mark.slow) for one in SLOWER)],
 )
 def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_others(
     count: int, joint: int, fault: str
