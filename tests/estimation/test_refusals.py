@@ -21,7 +21,7 @@ RECORD = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
 RIGID, FLEXIBLE = ji.RigidJoint("prismatic"), ji.FlexibleJoint("prismatic")
 ASYMMETRIC = ji.RigidJoint("prismatic", friction=Friction("asymmetric"))
 AXIS, ARM = twin(noise="none"), arm(2)
-VERBS: tuple[Any, ...] = (ji.identify, ji.diagnose, ji.write)
+VERBS: tuple[Any, ...] = (ji.identify, ji.diagnose, ji.write, ji.validate, ji.intervals, ji.simulate, ji.Report.of)
 
 
 def run_away() -> None:

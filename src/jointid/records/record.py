@@ -283,7 +283,7 @@ def takes_record(verb: _Verb) -> _Verb:
             wrong += _not_of(takes[name], values[name])
         if wrong:
             raise MethodError(
-                f"{verb.__name__} takes a record, as ji.read returns it; received {wrong[0]}: read its file by "
+                f"{verb.__qualname__} takes a record, as ji.read returns it; received {wrong[0]}: read its file by "
                 "ji.read(path, columns), or give ji.Record(torque=ji.Channel(values, unit, sample_time), ...)."
             )
         return verb(*args, **given)

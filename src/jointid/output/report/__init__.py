@@ -25,7 +25,7 @@ from jointid.models.controllers import Controller
 from jointid.output.figures import require_format
 from jointid.output.json import REPORT_SCHEMA, to_dict
 from jointid.output.report.sections import PAGES, Repetition, draw_figures, page, repetition, report_blocks
-from jointid.records.record import Channel
+from jointid.records.record import Channel, takes_record
 from jointid.tuning.tune import Tuned
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ class Report:
     absent: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
+    @takes_record
     def of(
         cls,
         estimate: Estimate,
