@@ -3,7 +3,7 @@
 A law is a row of numbers (`kernels`), in which its force is linear but for a winding length and a wave. The
 simulation takes the forces, its derivatives the partials. What winds up over a displacement is a state w of its own, of
 friction by `models.friction.wind_up`. Its steps are exponential: exact where the rate is linear in w, as in the law of
-P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976), and as exact as the motion.
+P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976), and elsewhere of order 3.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
@@ -54,10 +53,16 @@ wind_up = inline_kernel(friction_laws.wind_up)
 
 @inline_kernel
 def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) -> Any:
-    """Advance what is wound up, w, by h seconds and a motion x."""
-    rate, by_state = wind_up(numbers, i, way, x / h, w)
-    grows = h * by_state
-    return w + rate * (np.expm1(grows) / by_state if rate * by_state != 0.0 and grows.real < 1.0 else h)
+    """Advance what is wound up, w, by h seconds and a motion x; numbers may be complex, but for h."""
+    v = x * (1.0 / h)
+    rate, by_state = wind_up(numbers, i, way, v, w)
+    grows, end = h * by_state, w + h * rate
+    if rate * by_state != 0.0 and grows.real < 1.0:  # the exponential of a complex step is its tangent
+        more = math.expm1(grows.real)
+        end = w + rate * (more + (1.0 + more) * (grows - grows.real)) / by_state
+    then, bent = wind_up(numbers, i, way, v, end)
+    bends = then - rate - by_state * (end - w)
+    return end + h * bends / (3.0 - 0.75 * grows) if bent != by_state else end
 
 
 @inline_kernel
