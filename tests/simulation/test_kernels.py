@@ -112,4 +112,4 @@ def test_a_joint_far_too_stiff_returns_a_status_in_bounded_work() -> None:
         values = SLIDER | {"stiffness": stiffness, "damping": 0.0}
         outcome, q, _, _ = free(JOINT, values, force, np.array([0.0, 0.1, 0.0, -0.1]))
         assert outcome is not Outcome.FINISHED or np.all(np.isfinite(q))  # else what follows is not written
-    assert outcome is Outcome.TOO_STIFF
+        assert outcome is Outcome.TOO_STIFF or stiffness < 1e9  # a mode as fast as the log

@@ -7,7 +7,7 @@ For a joint these are tried, in order:
    known: it crosses over where its torque per deviation equals the torque that the inertia needs to follow. A mode
    that affected the tuning of the loop lies not far from there, so the grid of free-free
    frequencies is scaled by the crossover. Half of the grid gives unstable loops, and the rest has local minima.
-3. Rough descents from the best few, at frequencies apart, until two end together.
+3. Rough descents from the best few, at frequencies apart, until two end together; which explain little are given up.
 4. The best solution with its Coulomb friction divided differently. The motor's share decides which side stops
    first at every reversal, so the criterion has several minima over it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start found this solution, it is first repeated from nearby.
@@ -135,13 +135,13 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
 
     def search_about(joint: Mapping[str, float], widely: bool) -> Solved:
         modes = frequencies_to_try(problem.axis.law, joint["inertia"], problem.sample_time, widely)
-        row = [frequency] if frequency else modes
-        found = search_spring(problem, joint, row, task.filtering, history, widely)
+        row, poor = [frequency] if frequency else modes, min([NOTHING, *(left for left, _ in ends)])
+        found = search_spring(problem, joint, row, task.filtering, history, widely, poor)
         if motion is None:
             return found
         # From an end at rest no descent leads to one that moves.
         moving = problem.replace_parameters({p.name: replace(p, start=motion[p.name]) for p in INITIAL_STATE})
-        end = search_spring(moving, joint, row, task.filtering, history, widely)
+        end = search_spring(moving, joint, row, task.filtering, history, widely, poor)
         return end if is_significant(found, end) else found
 
     ends, failures = list[tuple[float, Solved]](), list[MethodError]()
@@ -274,6 +274,7 @@ def search_spring(
     filtering: Filtering,
     history: History,
     widely: bool = False,
+    poor: float = NOTHING,
 ) -> Solved:
     """Best flexible joint from a grid of starts, see the module.
 
@@ -287,14 +288,16 @@ def search_spring(
         filtering: as requested.
         history: of the search.
         widely: whether other inertias are tried, too: a mode inside the bandwidth makes the rigid joint another one.
+        poor: of the torque: an end that leaves more is not followed.
 
     Raises:
         MethodError: no start can be simulated.
     """
     wide, ends, together = on_band(problem, filtering, math.inf), list[tuple[float, float, FloatArray]](), 0
+    rough = replace(ROUGH, poor=poor * wide.size)
     for values in _explore(wide, rigid, row, history, widely)[:_REFINED]:
         on = on_band(problem, filtering, frequency_of(values))
-        x = history.solve(on, on.vector(values), ROUGH).x
+        x = history.solve(on, on.vector(values), rough).x
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
         cost, mode, x = min(ends, key=itemgetter(0))
         together = sum(_agree(end[:2], (cost, mode), wide.size) for end in ends)
@@ -304,13 +307,13 @@ def search_spring(
     divided = divide_coulomb_friction(on, x, history) if together > 1 else None
     if divided is not None:
         x, together = divided, 1
-    found = history.solve(on, x, ROUGH if together < 2 else None)
+    found = history.solve(on, x, rough if together < 2 else None)
     # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
-    followed = frequency_of(found.values) <= FASTEST / on.sample_time
+    followed = frequency_of(found.values) <= FASTEST / on.sample_time and found.norm < rough.poor
     while followed and together < 2 and tried < len(ends) + _BESIDE:
-        beside, tried = history.solve(on, _beside(found), ROUGH), tried + 1
+        beside, tried = history.solve(on, _beside(found), rough), tried + 1
         if beside.norm < (1 - _BETTER) * found.norm - _REST * on.size:  # the way back led further down
-            found = history.solve(on, beside.x, ROUGH)
+            found = history.solve(on, beside.x, rough)
             continue
         one, other = ((end.norm, frequency_of(end.values)) for end in (beside, found))
         together = 1 + _agree(one, other, on.size)

@@ -19,10 +19,10 @@ Linear: TypeAlias = tuple[FloatArray, FloatArray]
 
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
-_SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
+_SHORTER, _FARTHER, _NEAREST = 0.25, 2.0, 1e-3  # factors on the reach of a step, likewise; and its least
 _PATIENCE = 8  # steps that change less than the tolerance
 _RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide: the root of the machine precision
-_NEAREST = 1e-3  # of its reach: that of a step after many that failed
+_FEW = 10  # evaluations that show where a search leads
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
 _SAME = 0.1  # of what a linear model missed, and of a step: so far a kink explains it
@@ -60,10 +60,6 @@ class Status(Enum):
     def converged(self) -> bool:
         """Whether the solver succeeded."""
         return self not in (Status.EVALUATION_LIMIT, Status.NO_DESCENT, Status.NOT_EVALUABLE)
-
-
-Watch: TypeAlias = Callable[[float], None]
-"""Callback for every step, which gets the norm of the residual."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,9 +126,8 @@ class LevenbergMarquardt:
         evaluations: at most, each with the derivatives.
         reach: (parameters,) largest change of each per step; None leaves only the bounds. A step far outside the range
             of the linear model may lower the error, and yet end where a parameter has no effect on the torque.
-        worth: relative, of the criterion: a step with a smaller predicted decrease is not made or evaluated. For
-            problems with expensive evaluations; 0 makes every step.
-        enough: norm of the residual at which the search ends.
+        worth: relative: a step with a smaller predicted decrease of the criterion is not evaluated; 0 makes every step.
+        enough: norm of the residual at which the search ends; poor: with which it ends after a few evaluations.
     """
 
     tolerance: float = 1e-8
@@ -140,16 +135,19 @@ class LevenbergMarquardt:
     reach: FloatArray | None = None
     worth: float = 0.0
     enough: float = 0.0
+    poor: float = math.inf
 
 
-def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Watch = lambda _: None) -> Solution:
+def solve(
+    problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch: Callable[[float], None] = lambda _: None
+) -> Solution:
     """Solve a problem from a start; its trace begins there.
 
     Args:
         problem: left unchanged; a `Counted` one keeps its count and cache.
         solver: the settings.
         start: (free,), clipped to the bounds.
-        watch: callback for every step.
+        watch: callback for every step, which gets the norm of the residual.
     """
     counted = problem if isinstance(problem, Counted) else Counted(problem)
     bounds = Bounds.of(problem.free)
@@ -158,7 +156,9 @@ def solve(problem: Problem, solver: LevenbergMarquardt, start: FloatArray, watch
     trace, damping, used = [float(np.linalg.norm(error))], _DAMPING, 1
     status = None if J.any() and math.isfinite(_gain(1.0, error, J)) else Status.NOT_EVALUABLE
     share, idle, limit = 1.0, 0, max(solver.tolerance, _RESOLVED)
-    while status is None and used < solver.evaluations and trace[-1] > solver.enough:
+    while status is None and trace[-1] > solver.enough:
+        if used >= (solver.evaluations if trace[-1] < solver.poor else min(solver.evaluations, _FEW)):
+            break
         norm, reach = trace[-1], None if solver.reach is None else share * solver.reach
         room = bounds.shift_to(x, reach)
         step = damped_step(error, J, room, damping, widths)

@@ -38,7 +38,7 @@ from jointid.simulation.kernels.laws import fastest_rate, friction, place_force,
 
 REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
 _MANY = 1000.0  # rad of a part that show a drive that is too stiff
-_WORK = 30.0  # rad that a simulation may take, per part: bounds the time an absurd candidate can cost
+_WORK, _OF_LINES = 30.0, 1.0  # rad that a simulation may take, per part, beside maps: bounds an absurd candidate's time
 _EVENTS = 1000  # per period; a physical drive has a handful
 _HOLD = 1.0 + 1e-9  # of the Coulomb force: what holds a mass, so that one at its limit is not decided by rounding
 _PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
@@ -371,7 +371,7 @@ def run(
         equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
         for i in range(links):
             M[i, i] += mass[i, kernels.INERTIA]
-    events, steps, rows, status, k, fastest = 0, 0, 1, FINISHED, 0, rate
+    events, steps, rows, status, k, fastest, work = 0, 0, 1, FINISHED, 0, rate, _OF_LINES if path.straight else _WORK
     # The maps of lines in pieces, and a law of one element, one phase and two states at most, which glides by them.
     straight, states, kept_modes, rates = path
     maps, part, bands, pieces = rates.shape[0], 0, masses.shape[1], springs.shape[1]
@@ -441,7 +441,7 @@ def run(
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
                     fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach
-                if not left * fastest <= _MANY or (rate == 0.0 and steps * reach > _WORK * (clock * parts + 100)):
+                if not left * fastest <= _MANY or (rate == 0.0 and steps * reach > work * (clock * parts + 100)):
                     status = kernels.TOO_STIFF
                 if status != FINISHED:
                     break
