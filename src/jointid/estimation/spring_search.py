@@ -87,16 +87,14 @@ _UNSTABLE = 10.0  # times the torque: what a loop that is as good as unstable le
 
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
 _BAND = 2.0  # the cut-off is that many free-free frequencies, or more
-_REFINED = 6  # starts that are refined at most, until two of them end together
-_BESIDE = 3  # restarts near an end that no second start led to
+_REFINED, _BESIDE = 6, 3  # starts refined at most, until two end together; restarts near an end of one start alone
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
 # bottom, and what several ends are good for is to show that no other valley is deeper.
 _TOGETHER, _AS_GOOD = 1e-2, 3e-3
-_BETTER = 1e-3  # of what remains: so much less is further down
+_BETTER, _REST = 1e-3, 1e-4  # of what remains: so much less is further down; of the torque: too little to compare
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
 _STEP = LevenbergMarquardt(evaluations=2)
 _MOVES = 0.05  # of the reference's largest speed: at more the motor moves at the first sample
-_REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 
 # Of a robot
 _POSES = 40  # along the references, over which inertias are averaged
