@@ -11,7 +11,7 @@ import jointid as ji
 from jointid.common.messages import dot_path
 from jointid.config import File, loads
 from jointid.output.export.joint_model import on_other_side
-from jointid.output.json import load_estimate, to_dict, write
+from jointid.output.json import dumps, load_estimate, to_dict
 from tests.estimates import identify
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
 from tests.joint_files import faults
@@ -90,7 +90,7 @@ def test_three_files_give_one_answer(folder: Path, motor: ji.Estimate) -> None:
 
 def test_an_answer_has_both_sides_and_is_read_back(folder: Path, motor: ji.Estimate) -> None:
     found = identified(folder, BY_THE_LOAD)
-    write(to_dict(found), folder / "out.json")
+    (folder / "out.json").write_text(dumps(to_dict(found)), "utf-8")
     answer = json.loads((folder / "out.json").read_text())
     assert answer["settings"]["system"]["transmission"]["motor_per_load"] == pytest.approx(-R)
     assert to_dict(motor)["settings"]["system"]["transmission"] is None

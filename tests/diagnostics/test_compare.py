@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import jointid as ji
-from jointid.output.json import dumps, load_estimate, read_report, to_dict, write
+from jointid.output.json import dumps, load_estimate, read_report, to_dict
 from tests.output.report import reports
 
 
@@ -39,7 +39,7 @@ def test_one_record_twice_is_not_tested() -> None:
 def test_several_records_are_read_as_one_is(tmp_path: Path) -> None:
     (first, loop), (second, _), (third, _) = (reports.rigid_record(seed) for seed in (1, 2, 3))
     both = ji.identify([first, second], [loop, loop])
-    write(to_dict(both), path := tmp_path / "both.json")
+    (path := tmp_path / "both.json").write_text(dumps(to_dict(both)), "utf-8")
     found = ji.compare(read_report(path), of_rigid(1))
     assert found.same_record and all(row.p_value is None for row in found.rows)
     other = ji.compare(read_report(path), of_rigid(3))

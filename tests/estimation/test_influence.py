@@ -171,8 +171,7 @@ def test_deviations_along_a_measured_motion_hold_the_bias_of_a_force_that_moves_
         J = (slow + d / 2)[:, np.newaxis]
         x = float(J[:, 0] @ (2 * slow)) / float(J[:, 0] @ J[:, 0])
         error = 2 * slow - J[:, 0] * x
-        influence = Influence(J, error)
-        plain = influence.by_time()
+        plain = (influence := Influence(J, error)).by_time()
         wide = influence.widen_for_motion(plain)
         before.append(abs(x - 2) / plain.std[0])
         after.append(abs(x - 2) / wide.std[0])

@@ -67,9 +67,8 @@ def decay(seed: int) -> Toy:
 def minimum(toy: Toy, start: np.ndarray) -> np.ndarray:
     from scipy.optimize import least_squares
 
-    return np.asarray(
-        least_squares(lambda x: toy.linearise(x)[0], start, lambda x: toy.linearise(x)[1], xtol=1e-14, ftol=1e-14).x
-    )
+    error, slopes = (lambda x, k=k: toy.linearise(x)[k] for k in (0, 1))
+    return np.asarray(least_squares(error, start, slopes, xtol=1e-14, ftol=1e-14).x)
 
 
 def test_a_bent_problem_is_profiled_as_by_hand() -> None:

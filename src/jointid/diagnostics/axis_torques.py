@@ -189,9 +189,12 @@ def torques_of_robot(estimate: Estimate, records: Sequence[Record]) -> AxisTorqu
     )
     path, step = thin(np.stack([q, v], axis=2)), source.sample_time * source.filtering.decimation
     time = step * np.arange(measured.shape[1]) if motion is not None else source.sample_time * source.log.kept
+    judged = np.ones(measured.shape)
+    if motion is not None:  # a row beside an excluded sample contains some of it, and less noise
+        judged = motion.decimate_columns(np.ones((*motion.q.shape, 1)))[:, 0].reshape(n, -1)
     return AxisTorques(
         records[0].on_clock(time), step, source.filtering.cutoff, measured, predicted,
-        np.ones(measured.shape, dtype=np.bool_) if motion is None else motion.whole_rows, path[:, :, 0], path[:, :, 1],
+        judged > 0.9, path[:, :, 0], path[:, :, 1],
         own.reshape(n, -1, own.shape[1]), shapes, along_measured_motion=motion is not None,
     )  # fmt: skip
 

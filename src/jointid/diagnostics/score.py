@@ -42,7 +42,7 @@ from jointid.diagnostics.suspects import (
     list_signatures,
     number_fault,
 )
-from jointid.estimation.force_in_loop import find_force, simulate_with_force
+from jointid.estimation.force_in_loop import find_force, simulate_errors
 from jointid.estimation.parameters import surrounding
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.models.controllers import numbers_of, with_numbers
@@ -284,13 +284,7 @@ class SolvedLoop:
             return []
         run = problem.simulate(x)
         force = find_force(problem, x, run, problem.measured - run.torque)
-        if force is None:
-            return []
-        random = np.random.default_rng(1)
-        return [
-            problem.filter(one - run.torque + force.noise * random.standard_normal(one.size))
-            for one in simulate_with_force(problem, x, force, _FORCES, (1.0,))
-        ]
+        return [] if force is None else [*simulate_errors(problem, x, force, _FORCES)]
 
     @cached_property
     def _all_tests(self) -> tuple[FaultTest, ...]:

@@ -20,18 +20,18 @@ import numpy as np
 from jointid import ClosedLoop, __version__
 from jointid.common.document import Documented
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.files import digest, explain, open_file
+from jointid.common.files import digest, explain, open_file, write_whole
 from jointid.config import File, load
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.fields import dumps, finite, plain, read, write
+from jointid.estimation.result.fields import dumps, finite, plain, read
 from jointid.models.joints import Joint
 
 if TYPE_CHECKING:
     from jointid.estimation.saved import System
     from jointid.simulation.simulate import Simulation
 
-__all__ = ["dumps", "load_estimate", "plain", "read_report", "simulation_answer", "to_dict", "write"]
+__all__ = ["dumps", "load_estimate", "plain", "read_report", "simulation_answer", "to_dict"]
 
 Json: TypeAlias = dict[str, Any]
 
@@ -208,4 +208,4 @@ def keep(path: Path, key: str, estimate: Estimate) -> None:
     if os.path.lexists(path) and "key" not in read_report(path):
         raise RecordError(f"{path} is an answer that was written there; move it.")
     more = {"key": key, "x": plain(estimate.x), "diagnosis": plain(estimate.diagnosis, whole=True)}
-    write(to_dict(estimate) | more, path)
+    write_whole(path, dumps(to_dict(estimate) | more))

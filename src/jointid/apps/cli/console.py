@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any, TypeAlias
 from cyclopts import Parameter
 
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.files import require_room
+from jointid.common.files import require_room, write_whole
 from jointid.common.messages import Detail, Progress, ignore_progress
 from jointid.common.text import printable
 
@@ -351,7 +351,7 @@ def deliver(result: Documented, json: Path | None = None, **printed: Any) -> Doc
 
     document = show_result(result, **printed)
     if json is not None:
-        answers.write(answers.to_dict(result), json)
+        write_whole(json, answers.dumps(answers.to_dict(result)))
     return document
 
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, deliver, listen, ready, show, spare
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.files import require_room
+from jointid.common.files import require_room, write_whole
 
 if TYPE_CHECKING:
     from jointid import Estimate
@@ -122,7 +122,7 @@ def simulate(
         out: write torque, reference and positions to this file, of any format, under the names and in the
             units in which the joint file, or its drive's profile, reads them, each on its own side of a transmission.
     """
-    from jointid.output.json import write
+    from jointid.output.json import dumps
 
     file = options.load(joint, out)
     own, options = (replace(options, records=one) for one in (options.records[:-1], options.records[-1:]))
@@ -140,7 +140,7 @@ def simulate(
         file.write(logged, out)
         show(f"Written: {out}")
     if options.json is not None:
-        write(answer, options.json)
+        write_whole(options.json, dumps(answer))
 
 
 def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> tuple[Any, Any, Any]:

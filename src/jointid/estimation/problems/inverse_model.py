@@ -21,7 +21,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
@@ -136,14 +135,6 @@ class MeasuredMotion:
         count = math.ceil(size * n * n / LARGEST)
         ends = np.linspace(0, size, count + 1).astype(int)
         return [self.cut(*span) for span in pairwise(ends)]
-
-    @property
-    def whole_rows(self) -> NDArray[np.bool_]:
-        """Rows without any excluded sample, (n, rows); only these are judged.
-
-        A row beside an excluded one contains some of it, and less noise.
-        """
-        return self.decimate_columns(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > 0.9
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Decimate one equation's columns, (samples, columns); rest is 0 or excluded."""

@@ -127,10 +127,6 @@ class Agreement:
         more = {p.name: p.widening for p in self.parameters}
         return covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in names]))
 
-    def __getitem__(self, name: str) -> Scatter:
-        """Return how a parameter differs, by its name."""
-        return {p.name: p for p in self.parameters}[name]
-
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
         if not self.differs or self.p_value is None:

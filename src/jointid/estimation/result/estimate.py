@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.files import write_whole
 from jointid.common.parameters import Parameter, find_active_bounds
 from jointid.common.text import interval, join, number
 from jointid.estimation.methods import method_of
 from jointid.estimation.result.agreement import Agreement
-from jointid.estimation.result.fields import write
+from jointid.estimation.result.fields import dumps
 from jointid.estimation.result.verdict import Answer, Check, StiffnessBound, Subject, answer_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.position_forces import Motion
@@ -452,7 +453,7 @@ class Estimate(Documented):
         Raises:
             RecordError: the file cannot be written.
         """
-        write(self.to_dict(), path)
+        write_whole(path, dumps(self.to_dict()))
         return Path(path)
 
     @property

@@ -11,13 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum, StrEnum
 from functools import cache
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-
-from jointid.common.files import write_whole
 
 
 def plain(value: Any, whole: bool = False) -> Any:
@@ -105,8 +102,3 @@ def finite(value: Any) -> float:
 def dumps(answer: dict[str, Any]) -> str:
     """Serialise an answer as reproducible JSON text."""
     return json.dumps(plain(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write(answer: dict[str, Any], path: str | Path) -> None:
-    """Write an answer as JSON."""
-    write_whole(path, dumps(answer))
