@@ -61,8 +61,7 @@ def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) ->
         more = math.expm1(grows.real)
         end = w + rate * (more + (1.0 + more) * (grows - grows.real)) / by_state
     then, bent = wind_up(numbers, i, way, v, end)
-    bends = then - rate - by_state * (end - w)
-    return end + h * bends / (3.0 - 0.75 * grows) if bent != by_state else end
+    return end + h * (then - rate - by_state * (end - w)) / (3.0 - 0.75 * grows) if bent != by_state else end
 
 
 @inline_kernel

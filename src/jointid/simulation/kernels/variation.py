@@ -82,6 +82,10 @@ def _fill_factors(
         assign(mass[i], masses[i, int(tape[row, at + i])])
     for s in range(ns):
         laws.take_piece(springs, s, int(tape[row, at + nd + s]), spring)
+    for values in (f, k):
+        for i in range(values.shape[0]):
+            for x in range(values.shape[1]):
+                values[i, x] = 0.0
     for end in range(2):
         side = end - 0.5
         for s in range(ns):
@@ -121,8 +125,6 @@ def _fill_factors(
         assign(law[0], own[x])
         law[0, _WOUND], law[0, _GONE] = w, h * _stretch(mean.T, pairs, nd, x, _SPEED)
         for n in range(kernels.WINDING, _GONE + 1):  # by complex steps
-            if kernels.VISCOUS_DRIFT <= n <= kernels.PER_TORQUE:
-                continue  # of the force
             law[0, n] += _SMALL
             middle = laws.wind(law, 0, way, 0.5 * law[0, _GONE], 0.5 * h, law[0, _WOUND]).imag / _SMALL.imag
             f[_TURNS + n, x] = laws.wind(law, 0, way, law[0, _GONE], h, law[0, _WOUND]).imag / _SMALL.imag
@@ -383,10 +385,9 @@ def follow(
                 h = tape[row, kernels.LENGTH]
                 if h > 0.0:
                     _mean_motion(tape, row, nd, mean, change)
-                    for values in (f, k, M, K, C):
-                        for i in range(values.shape[0]):
-                            for j in range(values.shape[1]):
-                                values[i, j] = 0.0
+                    for i in range(nd):
+                        for j in range(nd):
+                            M[i, j], K[i, j], C[i, j] = 0.0, 0.0, 0.0
                     if tree is not None:
                         place, speed, turn = mean[_PLACE, :n], mean[_SPEED, :n], mean[_CHANGE, :n]
                         linearised_equations(tree, inertials, place, speed, turn, room, M, K, C)
