@@ -16,7 +16,6 @@ from jointid.diagnostics.model_free import find_plain_cause, find_steps, find_un
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
 from jointid.models.controllers import Cascade, FirstOrder, with_numbers
-from jointid.models.controllers.filters import MovingAverage
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
@@ -61,9 +60,11 @@ def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
     declared = Case(record, loop, ji.Filtering().resolve(axis("rigid").rate, "rigid"))
     tried = [one.factor for one in list_cases(declared) if one.change is not None and one.change.name == "sample_time"]
     assert tried == [0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0]
-    for kind, slower in ((FirstOrder(1e-3), True), (MovingAverage(4), False)):  # which would be longer at a slower rate
+    for kind, slower in ((FirstOrder(1e-3), True), (ji.controller.MovingAverage(4), False)):
         other = declared.under(replace(loop.controller, velocity_filter=kind))
         assert (searching._pose(other, other.loop).axis.law.period > declared.period) is slower
+    notch = declared.under(replace(loop.controller, torque_filters=(ji.controller.Notch(2.0 / declared.period, 10.0),)))
+    assert searching._pose(notch, notch.loop) is None
 
 
 def test_no_time_constant_is_near_a_filter_of_another_kind() -> None:

@@ -68,7 +68,7 @@ _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
 _ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
-_AS_FAST, _FASTEST = 2, 5e-4  # times the log, and s of a period: a faster controller is simulated in the end only
+_AS_FAST, _FASTEST = 2, 5e-4  # times the log, s of a period: a faster law runs in the end only, or counts its samples
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
 _LIGHTEST = 0.01  # of the rigid joint: inertia of a motor; a lighter one chatters in its loop
 _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
@@ -455,12 +455,12 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
     filtering, log = case.filtering, case.torque.sample_time
     law: Any = loop.controller
     filters = (as_filter(getattr(law, "velocity_filter", (1.0,))), *getattr(law, "torque_filters", ()))
-    each = ([one.coefficients(by * case.period) for by in (1.0, 0.5)] for one in filters)
-    counted = any(one == other != ((1.0,), (1.0,)) for one, other in each)  # in samples: longer at a longer period
-    if not counted and case.period < (slower := log / math.ceil(max(_AS_FAST, log / _FASTEST))):
+    if case.period < (slower := log / math.ceil(max(_AS_FAST, log / _FASTEST))):
         with contextlib.suppress(JointidError):  # its filters and its position loop do not allow every period
             replace(law, period=slower).law(log)
-            loop = replace(loop, controller=replace(law, period=slower))
+            each = ([one.coefficients(period) for period in (slower, case.period)] for one in filters)
+            if not any(one == other != ((1.0,), (1.0,)) for one, other in each):
+                loop = replace(loop, controller=replace(law, period=slower))
     if low and isinstance(loop.joint, FlexibleJoint):
         loop = replace(loop, joint=loop.joint.rigid)
         filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(log)

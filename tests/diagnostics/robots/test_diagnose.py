@@ -61,8 +61,6 @@ LOGS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "torque_sign": lambda torque: -torque,
     "log_delay": lambda torque: np.concatenate([np.full(5, torque[0]), torque[:-5]]),
 }
-
-
 WRONG = ("log_gain", "torque_sign")
 SLOWER = [*((6, joint, fault) for fault in WRONG for joint in range(6)), (6, 1, "log_delay")]
 
