@@ -30,7 +30,7 @@ def test_records_that_agree_are_called_otherwise_as_often_as_said(records: int) 
     random = np.random.default_rng(4)
     found = [drawn(random, records) for _ in range(2000)]
     assert np.mean([one.p_value <= 0.05 for one in found if one.p_value is not None]) == pytest.approx(0.05, abs=0.015)
-    assert np.mean([one["viscous"].p_value <= 0.05 for one in found]) == pytest.approx(0.05, abs=0.015)
+    assert np.mean([one.parameters[1].p_value <= 0.05 for one in found]) == pytest.approx(0.05, abs=0.015)
     assert np.mean([one.differs for one in found]) <= 0.1
 
 
@@ -38,9 +38,9 @@ def test_records_that_agree_are_called_otherwise_as_often_as_said(records: int) 
 def test_the_variance_between_runs_is_found() -> None:
     random = np.random.default_rng(5)
     found = [drawn(random, 8, between=1.0) for _ in range(300)]
-    assert np.mean([one["inertia"].between ** 2 for one in found]) == pytest.approx(1.0, rel=0.15)
-    assert all(one["inertia"].differs for one in found)
-    assert found[0]["inertia"].widening == pytest.approx(found[0]["inertia"].between ** 2 / 8)
+    assert np.mean([one.parameters[0].between ** 2 for one in found]) == pytest.approx(1.0, rel=0.15)
+    assert all(one.parameters[0].differs for one in found)
+    assert found[0].parameters[0].widening == pytest.approx(found[0].parameters[0].between ** 2 / 8)
 
 
 def test_a_widened_interval_holds_the_mean_of_the_runs_truths() -> None:
@@ -50,7 +50,7 @@ def test_a_widened_interval_holds_the_mean_of_the_runs_truths() -> None:
         means = 95.0 + 2.0 * random.standard_normal(5)
         found = [run_of(np.array([m + 0.2 * random.standard_normal(), 200.0, 20.0])) for m in means]
         common, alone = np.mean([one.values["inertia"] for one in found]), 0.2**2 / 5
-        wide = alone + compare_records(found, UNITS)["inertia"].widening
+        wide = alone + compare_records(found, UNITS).parameters[0].widening
         inside += abs(common - 95.0) <= 2 * np.sqrt(wide)
         narrow += abs(common - 95.0) <= 2 * np.sqrt(alone)
     assert 0.85 <= inside / 500 <= 0.97  # five runs tell their own variance to a third
@@ -59,10 +59,10 @@ def test_a_widened_interval_holds_the_mean_of_the_runs_truths() -> None:
 
 def test_two_runs_that_differ_say_so_and_what_two_are_worth() -> None:
     found = compare_records([run_of(np.array([95.0, 200.0, 20.0])), run_of(np.array([97.0, 200.0, 20.0]))], UNITS)
-    inertia = found["inertia"]
+    inertia = found.parameters[0]
     assert inertia.between == pytest.approx(np.sqrt(2.0**2 / 2 - 0.2**2))
     assert inertia.widening == pytest.approx(inertia.between**2 / 2)
-    assert found["coulomb"].widening == 0.0
+    assert found.parameters[2].widening == 0.0
 
 
 def test_a_difference_along_what_both_know_well_is_seen_jointly() -> None:

@@ -82,7 +82,7 @@ def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Fri
     record = simulated_record(loop, reference, truth, sample_time=1e-3)
     found = identify(record, loop)
     assert found.values == pytest.approx(truth, rel=1e-3, abs=1e-9)
-    answers.write(answers.to_dict(found), tmp_path / "out.json")
+    (tmp_path / "out.json").write_text(answers.dumps(answers.to_dict(found)), "utf-8")
     assert answers.load_estimate(tmp_path / "out.json", loop).values == pytest.approx(found.values)
     lumped, directions = lumped_parameters(found), np.array(law.directions(found.values))
     for i, part in enumerate(PARTS):
