@@ -81,6 +81,14 @@ def test_a_search_keeps_its_bound_and_says_that_it_left_cases_out(monkeypatch: p
     assert 0.4 < sum(one.axis.periods for one in spent) / 1_500_000 < 1.4
 
 
+def test_starts_of_a_fast_law_are_thinned_and_those_of_others_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, posed = list[int](), [Mock(**{"axis.periods": periods}) for periods in (1, 4)]
+    monkeypatch.setattr(searching, "_PERIODS", 40)
+    monkeypatch.setattr(searching.Fit, "begin", lambda fit: [fit, begun.append(fit.problem.axis.periods)][0])
+    searching._race([iter([searching.Fit(None, one, np.zeros(1))] * 10) for one in posed])  # type: ignore[arg-type]
+    assert (begun.count(1), begun.count(4)) == (10, 4)
+
+
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
     """It is about what the right loop leaves, whatever loop is declared, and all of it for another motion."""
     record, loop = without_mistake(axis("direct"))

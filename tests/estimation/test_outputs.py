@@ -58,7 +58,6 @@ def test_a_record_without_torque_is_identified_from_its_position() -> None:
     assert found.data.channels == ("reference", "motor_position")
     assert AxisSignals.of(found).label == "torque computed from the position [N m]"
     assert scale_status(found) == [None]
-    assert "if the scale of the controller's gains is right" in found.sentence
 
 
 def test_a_common_factor_of_the_gains_is_invisible_and_moves_every_parameter() -> None:
