@@ -50,7 +50,9 @@ from jointid.simulation.plant import DELAY
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
-_PERIODS = 15_000_000  # of controllers, simulated with all derivatives in some 20 s of the processor
+_PERIODS = 15_000_000  # of controllers, simulated with all derivatives in some 20 s of the processor: of a search
+_LEAST, _TIMES = 5_000_000, 2  # of a search, at most; or so many times those of the identification
+_WITHOUT = 0.125  # of a simulation with all derivatives: one without them
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
 _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong sample time spoils all of a fit
@@ -65,6 +67,7 @@ _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for
 _MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
 _MUCH_LATER = 0.5  # periods
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
+_NOW, _FIRST = 2 / 3, 0.75  # of a budget: that of a race before another one; of that, for first steps
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
 _ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
@@ -88,7 +91,7 @@ class Causes:
         nearest: the cause that explains most, if something else is wrong; else None.
         unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
         plain: a cause visible in the samples, or a motor at rest; else None.
-        partly: whether the record is so long that not every cause was followed.
+        partly: whether the budget of the search left causes out.
     """
 
     declared_error: float
@@ -131,7 +134,7 @@ class Causes:
                 causes = [{"cause": "torque_column", "value": None, "error": self.unexplained}]
                 return Message(Reason.CAUSE_FOUND, said, {"causes": causes, "declared_error": declared}, said)
         if self.partly:
-            clause += "; the record is too long to try each of them to its end: diagnose a part of it (record.stop)"
+            clause += "; not each of them was tried to its end: diagnose a part of the record (record.stop)"
         return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
 
 
@@ -151,7 +154,8 @@ def explain_misfit(
     poor = gross or error > _SUSPICIOUS
     if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
         # Far below its resonance a flexible joint is rigid: its spring causes no misfit there, and no other gain.
-        for one in fit_rigid([Case(record, loop, estimate.settings.filtering)])[0]:
+        rigid = _list_rigid_starts(Case(record, loop, estimate.settings.filtering))
+        for one in _race([rigid], _PERIODS, loss=_ROUGHLY)[0]:
             tests = SolvedLoop(one.problem, one.x).tests
             gains = (test for test in tests if test.p_value <= LEVEL and test.fault.measure != "ms")
             poor = one.error > _SUSPICIOUS or any(_is_gross(test, estimate.data.sample_time) for test in gains)
@@ -248,12 +252,15 @@ def find_causes(
     responses = 0.0 if posed is None else model_free.find_unexplained_share(posed, declared.reference.values)
     if responses > _UNRELATED and not loop.joint.forces:  # those of the position answer no reference
         return Causes(left, unexplained=responses)
-    tried = list_cases(declared)
+    periods = len(declared.torque) * declared.torque.sample_time / declared.period
+    asked = math.inf if estimate is None else max(_LEAST, _TIMES * estimate.fit.simulations * periods)
+    tried, bound = list_cases(declared), min(_PERIODS, asked)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
-    fits, partly = fit_rigid(tried)
-    if loop.joint.model == "flexible":
+    flexible = loop.joint.model == "flexible"  # and rigid far below its resonance
+    fits, spent, partly = _race([_list_rigid_starts(one) for one in tried], bound, loss=_ROUGHLY * flexible)
+    if flexible:
         near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
-        fits, left_out = _race([_list_flexible_starts(one) for one in near])
+        fits, spent, left_out = _race([_list_flexible_starts(one) for one in near], bound, spent)
         partly |= left_out
     as_declared = [fit for fit in fits if fit.case.change is None]
     left = min((left, *(fit.error for fit in as_declared)))
@@ -268,10 +275,18 @@ def find_causes(
         for cause in fit.case.change.say(fit.number, declared)
     ]
     if isinstance(loop.joint, RigidJoint):
-        candidates += _judge_motion(declared, loop.joint)
+        with contextlib.suppress(*FAILS):
+            moved = replace(record, motor_position=record.reference)
+            one = identify_record(moved, loop.joint, IDIM(), filtering=declared.filtering)
+            words = "the channel given as the reference is the motor's position"
+            candidates.append(Cause("reference_is_position", words, left=one.fit.filtered_error))
         least = min((one.left for one in candidates), default=math.inf)
         for fit in as_declared if least > _TWICE * responses else ():
-            candidates += (one for one in _judge_mode(fit, loop.joint) if one.left * _TWICE <= least)
+            bends = replace(fit.case, loop=replace(fit.case.loop, joint=loop.joint.flexible))
+            for bent in _race([_list_flexible_starts(replace(fit, case=bends))], bound, spent)[0]:
+                mode = loop.joint.flexible.frequencies(bent.problem.values(bent.x))["free_free"]
+                words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
+                candidates += [Cause("flexible", words, mode, bent.error)] * (bent.error * _TWICE <= least)
     explaining = _explaining(sorted(candidates, key=lambda one: one.left), left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
@@ -321,23 +336,6 @@ def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tup
     return tuple(found.values())[:3]
 
 
-def _judge_motion(declared: Case, joint: RigidJoint) -> Iterator[Cause]:
-    """Yield the cause that the reference is the motor's position, if possible."""
-    moved = replace(declared.record, motor_position=declared.record.reference)
-    with contextlib.suppress(*FAILS):
-        left = identify_record(moved, joint, IDIM(), filtering=declared.filtering).fit.filtered_error
-        yield Cause("reference_is_position", "the channel given as the reference is the motor's position", left=left)
-
-
-def _judge_mode(rigid: Fit, joint: RigidJoint) -> Iterator[Cause]:
-    """Yield a mode in the record of a rigid joint, if any."""
-    case = replace(rigid.case, loop=replace(rigid.case.loop, joint=joint.flexible))
-    for fit in _race([_list_flexible_starts(replace(rigid, case=case))])[0]:
-        mode = joint.flexible.frequencies(fit.problem.values(fit.x))["free_free"]
-        words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
-        yield Cause("flexible", words, mode, fit.error)
-
-
 # The joint in each case
 
 
@@ -383,31 +381,32 @@ class Fit:
         return replace(self, x=solution.x, error=error, evaluations=used) if error < _ASTRAY else None
 
 
-def fit_rigid(tried: Sequence[Case]) -> tuple[list[Fit], bool]:
-    """Fit each case with a rigid joint, a flexible one far below its resonance; see `_race`."""
-    return _race([_list_rigid_starts(one) for one in tried], _ROUGHLY * (tried[0].loop.joint.model == "flexible"))
+def _race(
+    starts: Sequence[Iterator[Fit]], bound: float, spent: float = 0.0, loss: float = 0.0
+) -> tuple[list[Fit], float, bool]:
+    """Solutions of the cases, best first; periods spent; and whether cases were left out.
 
-
-def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> tuple[list[Fit], bool]:
-    """Solutions of the cases, best first, and whether the bound left a case out; poor ones are dropped early.
-
-    The best start of each case is followed. Cases within the share `loss` of the best are kept.
+    The best start of each case is followed, and poor ones are dropped early. Cases within the share `loss` of the best
+    are kept for a later race, as is a third of the bound on the periods that all races simulate.
     """
     listed = in_threads(list, starts)
-    share = sum(map(len, listed)) / _PERIODS  # of the bound: many starts are thinned, those of fast laws the most
+    share = sum(map(len, listed)) / bound  # many starts are thinned, those of fast laws the most
     kept = [x for own in listed for k, x in enumerate(own) if k % (1 + int(share * x.problem.axis.periods)) == 0]
     tried = _best_of_each(fit for fit in in_threads(Fit.begin, kept) if fit.error < _ASTRAY)
-    spent = itertools.accumulate(_FEW * fit.problem.axis.periods for fit in tried)
-    followed = [fit for fit, periods in zip(tried, spent, strict=True) if periods <= _PERIODS / 2]
-    fits, used = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW), followed))), 0
+    spent += _WITHOUT * sum(one.problem.axis.periods for one in kept)
+    most = (bound - spent) * (_NOW if loss else 1.0) + spent
+    costs = _FEW * np.cumsum([fit.problem.axis.periods for fit in tried])
+    count = max(int(np.searchsorted(costs, _FIRST * (most - spent), "right")), 1)
+    fits = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW), tried[:count])))
+    spent += float(np.max(costs[:count], initial=0.0))
     least = fits[0].error if fits else 0.0
     for k, fit in enumerate(fits):
-        if fit.error <= max(_BEHIND * least, least + loss) and used <= _PERIODS / 2:
+        if fit.error <= max(_BEHIND * least, least + loss) and spent <= most:
             begin = fit if loss else fit.restore_period()  # to its minimum, where its number can be stated
             fits[k] = begin.descend(_TO_ITS_END) or fit
-            used += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
+            spent += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
             least = min(least, fits[k].error)
-    return _best_of_each(fits), len(followed) < len(tried)
+    return _best_of_each(fits), spent, count < len(tried)
 
 
 def _best_of_each(fits: Iterable[Fit]) -> list[Fit]:

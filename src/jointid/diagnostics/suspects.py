@@ -415,12 +415,6 @@ def _wave(seen: Seen) -> Columns:
         yield -float(wave), np.cos(wave * turns)
 
 
-def _follow_other(name: str, seen: Seen) -> Columns:
-    """Yield velocity, acceleration and direction of another axis."""
-    velocity, acceleration = seen.others[name]
-    yield from enumerate((velocity, acceleration, np.sign(velocity)))
-
-
 def _at_low_speed(sign: float, seen: Seen) -> Columns:
     """Yield friction changes by ``S exp(-(v / vs)^2)``, for some vs."""
     own = "" if seen.loop is None else seen.loop[0].joint.friction.name
@@ -591,7 +585,8 @@ def list_signatures(seen: Seen) -> Iterator[FaultSignature]:
     """Yield each fault's unfiltered change of an axis's torque."""
     coupled = (
         Fault(
-            f"coupled_{name}", f"torque that follows the motion of {name}", partial(_follow_other, name),
+            f"coupled_{name}", f"torque that follows the motion of {name}",
+            partial(lambda of, seen: enumerate((*seen.others[of], np.sign(seen.others[of][0]))), name),
             "motors or gears that are coupled make one", mechanical=True,
         )
         for name in seen.others
