@@ -17,9 +17,9 @@ torque changes only by the effect of the force on the friction. Gauss-Newton ste
 the least error of this mean torque, with the force estimated again at each step. That distance is added to the
 deviations, as one of its own size. If friction never holds the motor, as on the EMPS axis, there is no bias.
 
-**Its spread** is simulated, too. A motor at rest keeps the error of the place where friction stopped it: such noise has
-few independent values, of which the fit absorbs most. A simulated error n_k moves the estimate by ``d_k = A n_k`` and
-leaves ``e_k = n_k - J d_k`` of the residual e; where it clearly exceeds the known covariance, the larger one counts::
+**Its spread** is simulated where the motor rests. It keeps the error of the place where friction stopped it: such noise
+has few independent values, of which the fit absorbs most. A simulated error n_k moves the estimate by ``d_k = A n_k``
+and leaves ``e_k = n_k - J d_k`` of the residual e; where it clearly exceeds the known covariance, the larger counts::
 
     cov = sum_k d_k d_k' ||e||^2 / sum_k ||e_k||^2
 """
@@ -89,7 +89,8 @@ def widen_for_force(
         force = find_force(problem, at, run, problem.measured - run.torque)
         if force is None or force.rms <= 1e-3 * float(np.std(problem.measured)):  # moves nothing that matters
             return known, None
-        known = _widen_for_spread(known, problem, x, J, force) if at is x else known
+        if at is x and np.mean(run.motor_velocity == 0.0) > 0.005:  # of the samples: a motor that hardly rests has none
+            known = _widen_for_spread(known, problem, x, J, force)
         left = problem.filter(shown - simulate_mean(problem, at, force))
         step, std = Influence(J, left).matrix @ left, known.covariance.std
         if not np.all(np.isfinite(step)) or (at is x and not np.any(np.abs(step) > MATTERS * std)):
@@ -135,8 +136,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
         return None
     every, law = problem.values(x), problem.axis_at(x).law
     values = {p.name: every[p.name] for p in problem.joint.parameters}
-    inertia = sum(values[name] for name in ("inertia", "motor_inertia", "load_inertia") if name in values)
-    middle = crossover(law, inertia)
+    middle = crossover(law, sum(values[n] for n in ("inertia", "motor_inertia", "load_inertia") if n in values))
     hertz, power = _spectrum(error, moving, problem.sample_time, 10.0 / middle)  # ten periods
     seen = (hertz >= 0.05 * middle) & (hertz <= 0.4 / problem.sample_time)  # where log and loop show it
     hertz, power = hertz[seen], power[seen]
