@@ -57,7 +57,7 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
     moved = np.zeros((clock.samples, shown, len(keys)))
     if kept.outcome is not Outcome.FINISHED:
         return torques, moved
-    wide = LANES if kept.path.straight else max(len(keys), 1)
+    wide = LANES if kept.path.straight else -(-max(len(keys), 1) // LANES) * LANES  # rows in whole vectors
     for first in range(0, max(len(keys), 1), wide):
         some = keys[first : first + wide]
         filled, last = (*some, *[_NOBODY] * (wide - len(some))), first + len(some)
