@@ -12,6 +12,7 @@ from jointid.models.controllers.filters import DigitalFilter
 from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.records.chunks import cut
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.kernels import engine
@@ -86,25 +87,24 @@ def test_of_random_plants(make: Callable[[int], Case], seed: int) -> None:
 def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By every number of the joint, of its beginning and of its controller; of the positions, too.
 
-    Where friction grows with a torque it bends where that goes through nothing, which is no event of the run; the steps
-    behind an event depend on when it is. Differences of such runs need finer steps than the derivatives, which are
-    within 0.5 % of those in fine steps, and within 1 % for springs that are not linear.
+    Friction that grows with a torque bends where that is nothing, which is no event of the run, and later steps depend
+    on when an event is. Differences of such runs need finer steps than the derivatives.
     """
     case = make(1)
+    record = cut(case.clean, 0, 8000)
     loop, values = with_law(case, law)
     if "load-dependent" in law or law == "stribeck":
         monkeypatch.setattr(engine, "REACH", 0.1 * engine.REACH)
-    experiment = prepare(loop, case.clean)
+    experiment = prepare(loop, record)
     speed = 0.2 * float(np.ptp(simulate(case.loop, experiment, case.truth).motor_velocity))
     begin = Initial(position=float(experiment.axis.inputs[0, 0]), velocity=speed)
     of_law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
     names = (*(p.name for p in loop.joint.parameters), *of_law)
-    check(loop, case.clean, values, names, begin, 1e-2 if law in (*PIECES, "cubic") else 5e-3, (3e-6, 3e-7))
+    worst = {"cubic": 1e-2, "hysteretic": 5e-3}.get(law, 5e-3 if "load-dependent" in law else 2e-3)
+    check(loop, record, values, names, begin, worst, (3e-6, 3e-7))
 
 
-@pytest.mark.parametrize(
-    "law", ["load-dependent", "asymmetric-load-dependent", "presliding-load-dependent", "stribeck"]
-)
+@pytest.mark.parametrize("law", ["asymmetric-load-dependent", "presliding-load-dependent", "stribeck"])
 def test_of_friction_of_a_rigid_joint(law: str) -> None:
     case = prismatic(1)
     loop = ClosedLoop(RigidJoint("prismatic", FRICTIONS[law]), with_numbers(case.loop.controller, {"delay": 1.5e-4}))
