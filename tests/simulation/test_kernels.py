@@ -30,7 +30,7 @@ def free(
     """
     plant, loop = Numbers.of_joint(joint, values).plant, pass_on(torque[np.newaxis], period)
     n, none = len(plant.masses), np.zeros((1, 0))
-    place, speed, before = x0[: 2 * n : 2], x0[1 : 2 * n : 2], torque[:1]
+    place, speed, before = x0[: 2 * n : 2].copy(), x0[1 : 2 * n : 2].copy(), torque[:1]
     if way == "reference":
         return Outcome.FINISHED, *simulate(
             plant, None, np.zeros((0, 10)), loop, before, none, place, speed, np.sign(speed)
@@ -69,7 +69,7 @@ def test_a_velocity_that_dips_below_nothing_for_a_moment_is_seen(way: str, eps: 
     values = dict.fromkeys(SLIDER, 0.0) | {"motor_inertia": 1e9, "load_inertia": 1.0, "stiffness": 1e4}
     values["load_coulomb"] = coulomb
     pulled = speed * (1 + eps) * 100.0 + coulomb
-    x0, fine = np.array([0.0, speed, -pulled / 1e4, speed]), round(period / 1e-4)
+    x0, fine = np.array([0.0, speed, -pulled / 1e4, speed]), round(period / 1e-3)
     periods = round(0.08 / period)
     _, _, v, events = free(JOINT, values, np.zeros(periods), x0, period, way)
     _, _, expected, seen = free(JOINT, values, np.zeros(periods * fine), x0, period / fine, "reference")

@@ -38,7 +38,7 @@ from jointid.simulation.kernels.laws import fastest_rate, friction, place_force,
 
 REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
 _MANY = 1000.0  # rad of a part that show a drive that is too stiff
-_WORK, _OF_LINES = 30.0, 1.0  # rad that a simulation may take, per part, beside maps: bounds an absurd candidate's time
+_WORK, _OF_LINES = 30.0, 4.0  # rad that a simulation may take, per part, beside maps: bounds an absurd candidate's time
 _EVENTS = 1000  # per period; a physical drive has a handful
 _HOLD = 1.0 + 1e-9  # of the Coulomb force: what holds a mass, so that one at its limit is not decided by rounding
 _PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
