@@ -150,7 +150,8 @@ def explain_misfit(
     """
     loop, error, rows = estimate.settings.loop, estimate.fit.filtered_error, estimate.rows
     assert loop is not None and record.reference is not None
-    gross = any(_is_gross(one.test, estimate.data.sample_time) for one in findings or ())
+    every = findings or ()
+    gross = any(_is_gross(one.test, estimate.data.sample_time) for one in every)
     poor = gross or error > _SUSPICIOUS
     if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
         # Far below its resonance a flexible joint is rigid: its spring causes no misfit there, and no other gain.
@@ -167,9 +168,8 @@ def explain_misfit(
     strained = all(p.value is not None for p in rows) and any(p.of_joint and p.at_bound is not None for p in rows)
     if not (poor or strained or model_free.find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
-    every = findings or ()  # a number beside a second fault is not all that is wrong
     fits = [f.left for f in every if f.left is not None and (len(every) == 1 or f.law or f.value is None)]
-    if (not gross or any(one.law for one in every[:1])) and fits and fits[0] <= (_MORE_OF_A_LAW * responses or _FITS):
+    if not gross and fits and fits[0] <= (_MORE_OF_A_LAW * responses or _FITS):
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None

@@ -216,8 +216,8 @@ class Influence:
         Z, slopes, before, block = self.columns[order], self.slopes[order], self.error[order], block[order]
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
         shares, scores = _products(Z, slopes, first), np.add.reduceat(Z * before[:, np.newaxis], first)
-        left = (1.0 + 1e-9) * np.eye(len(self.spread)) - self.spread @ shares  # never exactly singular
-        moved = np.linalg.solve(left, self.spread @ scores[..., np.newaxis])
+        inverse = np.linalg.pinv(np.eye(len(self.spread)) - self.spread @ shares, 1e-6)
+        moved = inverse @ (self.spread @ scores[..., np.newaxis])
         rows = np.diff(first, append=len(block))
         after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
         # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
