@@ -21,6 +21,7 @@ from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.healthy import drive
+from studies.setpoints import judge
 from tests.estimates import identify
 from tests.mistakes import MISTAKES, MORE, AxisName, Mistake, axis, cut, tell, without_mistake, without_positions
 
@@ -125,6 +126,15 @@ def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
     assert (reason.code, cause["cause"]) == (Reason.CAUSE_FOUND, "flexible")
     assert cause["value"] == pytest.approx(31.4, rel=0.1)  # Hz, the twin's mode
     assert not estimate.answer.reliable
+
+
+def test_a_number_that_is_far_off_is_named_behind_a_law_that_explains_nearly_all() -> None:
+    assert "torque_constant" in tell(*BY_NAME["torque constant said twice"].make(axis("rigid"), 1))[0]
+
+
+def test_a_law_is_the_answer_where_a_record_is_too_short_for_free_responses() -> None:
+    said = judge(0, "average", 2.5)
+    assert said is not None and said.named[:1] == ("averaged_reference",)
 
 
 @pytest.mark.parametrize("name", ["rigid", "direct", "screw"])

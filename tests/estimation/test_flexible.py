@@ -106,9 +106,7 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
     assert float(found.value or 0.0) <= 3 * float(found.stderr or 0.0) + 1e-9
     assert float(found.stderr or 0.0) > 1e-3
     # The descent ends a billionth of a newton above 0, which is no millionth of itself.
-    (bounds,) = (verdict for verdict in estimate.checks if verdict.name == "bounds")
-    assert "motor_coulomb at a bound" in bounds.words
-    assert not bounds.passed
+    assert not next(verdict for verdict in estimate.checks if verdict.name == "bounds").passed
 
 
 def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> None:
@@ -173,7 +171,7 @@ def test_a_joint_that_is_too_light_for_its_loop_is_no_start() -> None:
         rough_rigid_joint(
             Task(drive.record, joint, drive.loop, joint.parameters, Filtering(), ignore_progress), history
         )
-    assert history.counted.evaluations < 400  # 203 to 264 by processor; most end early, as the loop chatters
+    assert history.counted.evaluations < 150
 
 
 @pytest.mark.parametrize("method", [IDIM(), pytest.param(DIDIM(), marks=pytest.mark.slow)], ids=["idim", "ls"])

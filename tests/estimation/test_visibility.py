@@ -51,9 +51,7 @@ def unseen() -> tuple[Record, Estimate]:
 
 def test_a_spring_that_the_record_does_not_show_is_refused(unseen: tuple[Record, Estimate]) -> None:
     record, estimate = unseen
-    good, said = stiffness_verdict(estimate)
-    assert good is False
-    assert "not identifiable from this record" in said
+    assert stiffness_verdict(estimate)[0] is False
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
     bounds = {bound.share: bound.stiffness for bound in estimate.bounds}
