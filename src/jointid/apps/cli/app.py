@@ -38,9 +38,8 @@ _ENDING = "Exit codes, and options that most commands have, as --quiet: docs/com
 
 def _versions() -> str:
     """Return the versions of this package, Python and the numerical packages."""
-    found = {name: metadata.version(name) for name in ("numpy", "scipy", "numba")}
-    known = {"jointid": __version__, "Python": platform.python_version(), **found}
-    return "\n".join(f"{name} {version}" for name, version in known.items())
+    known = (f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "numba"))
+    return "\n".join((f"jointid {__version__}", f"Python {platform.python_version()}", *known))
 
 
 app = App(

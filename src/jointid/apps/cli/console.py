@@ -119,13 +119,7 @@ class Options:
         """Listener to progress."""
         return listen(self.quiet)
 
-    def load(
-        self,
-        joint: Path,
-        *outputs: Path | None,
-        alone: bool = False,
-        method: str = "",
-    ) -> File:
+    def load(self, joint: Path, *outputs: Path | None, alone: bool = False, method: str = "") -> File:
         """Load a joint or robot file with changes; see `jointid.config.load`.
 
         Args:
@@ -193,7 +187,7 @@ class Options:
         window: float | None = None,
         *,
         checks: bool = True,
-        first: Callable[[Estimate], object] = lambda _: None,
+        first: Callable[[Estimate], object] | None = None,
     ) -> Estimate:
         """Return the stored estimate of a record, or identify and store it.
 
@@ -225,7 +219,9 @@ class Options:
         elif found is None or not apart:
             found = save(file.identify(record, progress, checks=checks and not apart, windows=window))
         if checks and UNCHECKED in map(str, found.checks):
-            first(found)
+            if first is not None:
+                tell("before its checks, which may change this answer:")
+                first(found)
             found = save(check_later(found, record, progress))
         return found
 

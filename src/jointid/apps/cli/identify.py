@@ -76,9 +76,8 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
             "--write is for a joint file; write the learned [controller] as [joints.controller] of the axis, and "
             "leave --write out."
         )
-    spare((options.json, write), joint, options.record)
     file = load(joint, [*options.changes, 'method={name="didim"}'], axis=options.axis)
-    spare((options.json, write), *file.inputs(options.record))
+    spare((options.json, write), joint, *file.inputs(options.record))
     learned = run(file.record(options.record), progress=options.progress, **file.learn_settings)
     deliver(learned, options.json)
     show(f"\n{controller_text(learned.controller, file.axis).rstrip()}")

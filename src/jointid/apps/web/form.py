@@ -114,7 +114,7 @@ def _make_field(key: FileKey) -> Field | None:
     if words:
         known = _USUAL.get(key.place, None if one.required else one.default)
         usual = "as usual" if known is None else f"as usual: {known}"
-        usual = "choose ..." if key.place in (_KIND, _SIDE) or last == "unit" else usual
+        usual = "as the column says" if last == "unit" else "choose ..." if key.place in (_KIND, _SIDE) else usual
         return Field(key.place, one, {"": usual} | {str(word): str(word) for word in words})
     is_column = last == "column" or key.place == "record.time"
     return Field(key.place, one, is_column=is_column) if one.type in (int, float, str, Spans) else None
@@ -139,7 +139,7 @@ _METHOD = _find("method.frequency", "filtering.cutoff")
 _LAWS = {law: tuple(one for one in _find("controller", law=law) if one.key != LAW) for law in _LAW.choices if law}
 _UNKNOWN = {"": "not known: do without it", LEARN: "not known: learn it from this record"}
 _CONTROLLER = replace(_LAW, choices={law: law for law in _LAWS} | _UNKNOWN)
-_LINES = "as in a joint file: [parameters], then coulomb = 20.0"
+_LINES = 'as in a joint file: [controller], then velocity_filter = { kind = "first_order", time_constant = "0.5 ms" }'
 _EXTRA = (Field(EXTRA, Setting(_LINES, name=EXTRA, type=dict, optional=True, default=None)),)
 _FURTHER = Section("Further lines of the joint file: all that has no field", _EXTRA, folded=True)
 ROBOT = (Section("The robot file", _EXTRA),)
@@ -184,8 +184,12 @@ def require_side(texts: Texts) -> None:
         raise JointFileError(Fault(asked, tuple(_SIDE.split(".")), "missing"))
 
 
-def require_unit(texts: Texts) -> None:
-    """Refuse a velocity gain without a unit beside a torque constant."""
+def require_controller(texts: Texts) -> None:
+    """Refuse an unknown law of a joint whose motor position is unknown, and a velocity gain without a needed unit."""
+    given = (LAW, "record.channels.motor_position.column", "drive.profile")
+    if texts.get(_KIND) and not any(map(texts.get, given)) and "controller" not in texts.get(EXTRA, ""):
+        asked = "Without the motor's position in the log the controller must be known: choose its law."
+        raise JointFileError(Fault(asked, tuple(LAW.split(".")), "missing"))
     gain = texts.get("controller.velocity_gain", "")
     if texts.get("joint.torque_constant") and re.fullmatch("[0-9.,]+", gain):
         asked = f'Give its unit: "{gain} A s/rad" of a current, "{gain} N m s/rad" of a torque.'
@@ -219,10 +223,9 @@ def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
         tables = parse_toml(texts.get(EXTRA, ""))
         given = [(one, text) for key, one in fields_of(texts).items() if (text := texts.get(key, ""))]
         changes = [f"{one.key}={one.read(text)}" for one, text in given if (one.key, text) != (LAW, LEARN)]
-        if "records" in tables:
-            records = ()
+        records = () if "records" in tables else records
         changes += [f"record.file={json.dumps(name, ensure_ascii=False)}" for name in records if len(records) == 1]
-        made = apply_changes(tables, changes)
+        made = apply_changes(tables if "robot" in tables else {"joint": {}} | tables, changes)
     except JointFileError as error:
         raise JointFileError(Fault(one, (EXTRA,)) for one in error.faults) from None
     made |= {"records": [{"file": name} for name in records]} if len(records) > 1 else {}

@@ -225,7 +225,7 @@ async def check_channels(request: Request) -> Response:
 async def identify(request: Request) -> Response:
     """Check everything, and start the identification in a new folder."""
     page, now = _page(request), await _save(request)
-    form.require_unit(now.texts)
+    form.require_controller(now.texts)
     learn = now.texts.get(form.LAW) == form.LEARN
     async with page.files:
         text = await _load(now, now.texts)

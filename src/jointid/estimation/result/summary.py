@@ -41,7 +41,7 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
         estimate.checks, lambda one: "mechanics" if one.code in OF_MECHANICS else str(one.name)
     ):
         first, *others = found
-        brief = first.brief + f" (and {len(others)} more in the report)" * bool(others)
+        brief = first.brief + f" (and {len(others)} more)" * bool(others)
         listed.append((asked, first.passed, "\n".join(one.words for one in (first, *others)) if details else brief))
     passed = [good for _, good, _ in listed]
     listed = [row for row in listed if details or not (row[1] or row[0] == Subject.WHITENESS)]
@@ -145,7 +145,7 @@ def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) 
     else:
         yield "method", f"{system.model} joint, {settings.variant}, of {data.record}"
         yield "read", ", ".join(data.channels)
-        yield from common_facts(data.resampled, system.transmission)
+        yield from common_facts(data.resampled, system.transmission or "none: values are on the motor side")
 
 
 def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping[str, float] | None = None) -> Table:
