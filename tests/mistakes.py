@@ -364,12 +364,9 @@ def _smooth(one: Any) -> None:
 
 _BARE = changes(without_positions)
 MORE = (
-    _mistake(
-        "half a second of motion", "record_too_short", _BARE, changes(lambda record: cut(record, 0.6)),
-        said="the record is too short",
-    ),
-    _mistake("pulses not declared", "injected", _pulse, _BARE, said="channel injected"),
-)  # fmt: skip
+    _mistake("half a second of motion", "record_too_short", _BARE, changes(lambda record: cut(record, 0.6))),
+    _mistake("pulses not declared", "injected", _pulse, _BARE),
+)
 _GEARED = (
     _mistake("side of the reference forgotten", "gear_side", _side_forgotten, _BARE, said='side = "load"'),
     _mistake("gear ratio ten times as small", "reference_scale", _other_ratio, _BARE),

@@ -70,8 +70,8 @@ _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
 _NOW, _FIRST = 2 / 3, 0.75  # of a budget: that of a race before another one; of that, for first steps
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
-_ROUGHLY = 0.05  # of the torque: additional residual of a rigid model of a flexible joint
-_AS_FAST, _FASTEST = 2, 5e-4  # times the log, s of a period: a faster law runs in the end only, or counts its samples
+_ROUGHLY, _SWINGS = 0.05, 10.0  # of the torque: what a rigid model of a flexible joint adds; periods of its cut-off
+_AS_FAST, _FASTEST = 2, 5e-4  # times the log, s of a period: a faster law counts or holds samples, or waits for the end
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
 _LIGHTEST = 0.01  # of the rigid joint: inertia of a motor; a lighter one chatters in its loop
 _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
@@ -458,11 +458,11 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
         with contextlib.suppress(JointidError):  # its filters and its position loop do not allow every period
             replace(law, period=slower).law(log)
             each = ([one.coefficients(period) for period in (slower, case.period)] for one in filters)
-            if not any(one == other != ((1.0,), (1.0,)) for one, other in each):
+            if law.interpolation != "hold" and not any(one == other != ((1.0,), (1.0,)) for one, other in each):
                 loop = replace(loop, controller=replace(law, period=slower))
     if low and isinstance(loop.joint, FlexibleJoint):
         loop = replace(loop, joint=loop.joint.rigid)
-        filtering = Filtering(cutoff=rigid_cutoff(case.record)).resolve(log)
+        filtering = Filtering(cutoff=rigid_cutoff(case.record, least=_SWINGS)).resolve(log)
     try:
         problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)
         problem = problem.keeping({"initial_velocity": 0.0}).freeing(*around, *filter(None, [case.free]))

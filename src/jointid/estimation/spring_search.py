@@ -199,11 +199,11 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
     return search(slow) if slow < 0.7 * edge else found
 
 
-def rigid_cutoff(record: Record, wanted: float | None = None) -> float:
-    """Cut-off, Hz, for identifying a flexible joint as rigid, or as wanted."""
+def rigid_cutoff(record: Record, wanted: float | None = None, least: float = _SWINGS) -> float:
+    """Cut-off, Hz, for identifying a flexible joint as rigid, or as wanted; of `least` periods in the record."""
     assert record.torque is not None
     period = record.torque.sample_time
-    return max(wanted or _RIGID_CUTOFF / period, _SWINGS / (record.torque.values.size * period))
+    return max(wanted or _RIGID_CUTOFF / period, least / (record.torque.values.size * period))
 
 
 def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
