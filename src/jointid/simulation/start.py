@@ -167,7 +167,7 @@ class Steady:
             missing = at - found[:n]
             if not _AT_REST * (1.0 + float(np.max(np.abs(at)))) < float(np.max(np.abs(missing))) < math.inf:
                 break
-            slopes = np.eye(n) - self._by_links(at)[:n]
+            slopes = np.eye(n) - self._by_links(at, found)[:n]
             upright = np.min(np.linalg.eigvals(slopes).real) >= _LEAST
             at = at - (np.linalg.solve(slopes, missing) if upright else missing / _LEAST)
         return found[n:-n], found[-n:]
@@ -183,36 +183,34 @@ class Steady:
         """
         n, numbers = self.free.size, self.numbers
         at = places[[own[min(1, len(own) - 1)] for own in numbers.rows]]
-        by_key = np.zeros((2 * n + places.size, len(keys)))
+        here, by_key = self.balance(at), np.zeros((2 * n + places.size, len(keys)))
         moves = not numbers.straight or numbers.joints[0].forces or np.any(self.speeds)  # else lines leave it there
         for c, key in enumerate(keys):
             if key.name == INITIAL[0]:
                 by_key[:-n, c] = 1.0
-            elif both := self._moved(key) if moves or key.name == INITIAL[1] else None:
-                by_key[:, c] = (both[1].balance(at) - both[0].balance(at)) / both[2]
+            elif moved := self._moved(key) if moves or key.name == INITIAL[1] else None:
+                by_key[:, c] = (moved[0].balance(at) - here) / moved[1]
         if not np.any(by_key) or (self.tree is None and not numbers.joints[0].forces):
             return by_key[n:-n], by_key[-n:]
-        by_links = self._by_links(at)
-        moved = by_key + by_links @ np.linalg.solve(np.eye(n) - by_links[:n], by_key[:n])
-        return moved[n:-n], moved[-n:]
+        by_links = self._by_links(at, here)
+        whole = by_key + by_links @ np.linalg.solve(np.eye(n) - by_links[:n], by_key[:n])
+        return whole[n:-n], whole[-n:]
 
-    def _moved(self, key: Place) -> tuple[Steady, Steady, float] | None:
-        """Perturb a parameter both ways: two equilibria and the difference, or None."""
+    def _moved(self, key: Place) -> tuple[Steady, float] | None:
+        """Perturb a parameter: another motion and the difference, or None."""
         if key.name == INITIAL[1]:  # at rest the drag of steady motion jumps
-            low, high = (replace(self, speeds=self.speeds * factor) for factor in (1.0 - _SMALL, 1.0 + _SMALL))
-            return (low, high, float(2.0 * _SMALL * self.speeds[key.axis])) if self.speeds[key.axis] else None
+            width = float(_SMALL * self.speeds[key.axis])
+            return (replace(self, speeds=self.speeds * (1.0 + _SMALL)), width) if width else None
         if key not in self.numbers or key.name.startswith("swinging_"):  # a part that swings begins with the load
             return None
         value = float(self.numbers[key])
         step = _SMALL * (abs(value) or 1.0)
-        low, high = (replace(self, numbers=self.numbers.with_values([key], [value + by])) for by in (-step, step))
-        return low, high, 2.0 * step
+        return replace(self, numbers=self.numbers.with_values([key], [value + step])), step
 
-    def _by_links(self, at: FloatArray) -> FloatArray:
-        """Return the derivatives of `balance` by the links' positions, (..., n)."""
+    def _by_links(self, at: FloatArray, here: FloatArray) -> FloatArray:
+        """Return the derivatives of `balance`, which is `here`, by the links' positions, (..., n)."""
         steps = _SMALL * np.diag(1.0 + np.abs(at))
-        both = [(self.balance(at + one), self.balance(at - one), 2.0 * np.max(one)) for one in steps]
-        return np.column_stack([(high - low) / width for high, low, width in both])
+        return np.column_stack([(self.balance(at + one) - here) / np.max(one) for one in steps])
 
     def balance(self, at: FloatArray) -> FloatArray:
         """Link positions, (n,), mass positions and motor torques, (n,), in a row.

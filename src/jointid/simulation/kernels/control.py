@@ -6,7 +6,7 @@ import math
 from typing import TypeAlias
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compile_kernel, inline_kernel
+from jointid.common.compiled import assign, inline_kernel
 from jointid.simulation.kernels import IntArray, SampledLoop
 
 SmallLaw: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
@@ -73,7 +73,7 @@ def _add(weight: float, rows: FloatArray, row: int, to: FloatArray, at: int) -> 
         to[at, c] += weight * rows[row, c]
 
 
-@compile_kernel
+@inline_kernel
 def control_slopes(
     loop: SampledLoop, axis: int, own: int, step: int, excess: FloatArray, motor: int, dq: FloatArray, dzs: FloatArray,
     fresh: FloatArray, raw: FloatArray, taken: FloatArray, explicit: FloatArray, columns: IntArray, dlimits: FloatArray,
@@ -109,5 +109,4 @@ def control_slopes(
         for e in range(elements):
             _add(loop.F[axis, phase, s, e] if excess[axis, own, e] != 0.0 else 0.0, taken, e, fresh, s)
     for s in range(states):
-        for c in range(count):
-            dz[s, c] = fresh[s, c]
+        assign(dz[s], fresh[s])

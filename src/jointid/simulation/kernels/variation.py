@@ -6,9 +6,11 @@ The run has left a tape of its steps. Along each the deviations of all masses ob
 
 with M, C and K the derivatives of the equations of motion by acceleration, velocity and position, and G, negative, by
 the parameters and by the motors' torques. They are taken at both ends of the step, about its mean motion, and followed
-by a Taylor series of order 4. What winds up has the derivatives of its steps, by complex numbers. A mass at rest stays
-there. An event moves in time with what it takes to zero, so velocities jump (M. A. Aizerman and F. R. Gantmacher: On
-the stability of periodic motions, Journal of Applied Mathematics and Mechanics 22, 1958)::
+by the implicit midpoint rule; of a joint, and where motors are moved, by three composed to order 4 (H. Yoshida:
+Construction of higher order symplectic integrators, Physics Letters A 150, 1990). What winds up has the derivatives of
+its steps, by complex numbers. A mass at rest stays there. An event moves in time with what it takes to zero, so
+velocities jump (M. A. Aizerman and F. R. Gantmacher: On the stability of periodic motions, Journal of Applied
+Mathematics and Mechanics 22, 1958)::
 
     dv+ = dv- + (a+ - a-) dv_i- / a_i-
 
@@ -34,15 +36,13 @@ from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, 
 from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes, small_law
 from jointid.simulation.kernels.engine import invert
 
-# A block of derivatives: positions of the masses, or a derivative of these by time, then the forces given on masses and
-# in springs as a step begins, or their rates.
-_ORDER = 4
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of springs stiffness and damping; of both the force of what winds up, whole, first and last, its stiffness, how
 # its derivative enters the force, and that of its end by the law's numbers, by what was wound up, and by the way gone.
 _GOES, _DRAG, _STIFF, _TAKES, _PULL, _DAMP, _FIRST, _LAST, _WINDS, _ENTERS, _TURNS = range(11)
 _WOUND, _GONE = kernels.MASS, kernels.MASS + 1  # further numbers of a law that winds up
 _PLACE, _SPEED, _CHANGE = range(3)  # rows of the motion
+_WHOLE, _COMPOSED = np.ones(1), np.array([1.0, -(2.0 ** (1 / 3)), 1.0]) / (2.0 - 2.0 ** (1 / 3))  # parts of a step
 _SMALL = 1e-30j  # of a complex step: its square is nothing beside any value
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
 
@@ -136,30 +136,27 @@ def _fill_factors(
 
 @inline_kernel
 def _add_seeds(
-    seeds: Seeds, row: int, band: int, to: int, h: float, f: FloatArray, k: FloatArray,
-    given: FloatArray, rate: FloatArray, turned: FloatArray,
-) -> None:  # fmt: skip
-    """Add what parameters change in a law."""
+    seeds: Seeds, row: int, band: int, to: int, f: FloatArray, k: FloatArray, G: FloatArray, dw: FloatArray
+) -> None:
+    """Add what parameters change in a law: in the middle of the step, from its beginning to its end, and wound up."""
     then = row + k.shape[0] // 2
     for e in range(seeds.begin[row, band], seeds.begin[row, band + 1]):
         number, c, value = seeds.numbers[e], seeds.columns[e], seeds.values[e]
-        given[to, c] += k[row, number] * value
-        rate[to, c] += (k[then, number] - k[row, number]) / h * value
+        G[0, to, c] += 0.5 * (k[row, number] + k[then, number]) * value
+        G[1, to, c] += (k[then, number] - k[row, number]) * value
         if number >= kernels.WINDING:
-            turned[to, c] += f[_TURNS + number, row] * value
+            dw[to, c] += f[_TURNS + number, row] * value
 
 
 @inline_kernel
 def _flush(values: FloatArray) -> None:
     """Set what is next to nothing to 0."""
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            for c in range(values.shape[2]):
-                values[i, j, c] = values[i, j, c] if abs(values[i, j, c]) > NOTHING else 0.0
+    for i in range(values.size):
+        values[i] = values[i] if abs(values[i]) > NOTHING else 0.0
 
 
 @inline_kernel
-def _join(pairs: IndexArray, carriers: IntArray, f: FloatArray, K: FloatArray, C: FloatArray, x: FloatArray) -> None:
+def _join(pairs: IndexArray, carriers: IntArray, f: FloatArray, K: FloatArray, C: FloatArray, G: FloatArray) -> None:
     """Add masses and springs to stiffness, damping and inputs; friction may carry a torque."""
     nd = len(K)
     for i in range(nd):
@@ -175,43 +172,49 @@ def _join(pairs: IndexArray, carriers: IntArray, f: FloatArray, K: FloatArray, C
             C[to, one] += weight * damp
             C[to, two] -= weight * damp
             for order in range(2):
-                for c in range(x.shape[2]):
-                    x[order, nd + to, c] += weight * x[order, 2 * nd + s, c]
+                for c in range(G.shape[2]):
+                    G[order, to, c] += weight * G[order, nd + s, c]
 
 
 @compile_kernel
 def _move(
-    h: float, f: FloatArray, inverse: FloatArray, K: FloatArray, C: FloatArray, rows: FloatArray, x: FloatArray
-) -> None:
-    """Move the derivatives over a step: a Taylor series of their linear equation about its beginning.
+    h: float, late: float, f: FloatArray, M: FloatArray, K: FloatArray, C: FloatArray, G: FloatArray,
+    left: FloatArray, rows: FloatArray, dq: FloatArray, dv: FloatArray,
+) -> None:  # fmt: skip
+    """Move the derivatives over a time by the implicit midpoint rule, its middle a share of the step after the step's.
 
-    Block by block the next derivative by time. How far the masses have gone is in the third block.
+    The mean velocities are found by elimination, the last mass
+    first: the rotor of a robot is tied to its link alone.
     """
     affine.wide_vectors()
-    nd, count = len(K), x.shape[2]
+    nd, count = dq.shape
     for i in range(nd):
-        for c in range(count):  # a velocity that was not let begin does not come back
-            x[1, i, c] *= f[_GOES, i]
-    for order in range(_ORDER):
-        rate, then = order + 1, order + 2
-        for i in range(nd):
-            for c in range(count):
-                rows[i, c], x[then, i, c] = x[order, nd + i, c], 0.0
-            for j in range(nd):
-                stiff, drag = K[i, j], C[i, j]
-                for c in range(count if stiff != 0.0 or drag != 0.0 else 0):  # not as of two arms on one base
-                    rows[i, c] -= stiff * x[order, j, c] + drag * x[rate, j, c]
-        for i in range(nd):
-            for j in range(nd if f[_GOES, i] != 0.0 else 0):
-                for c in range(count if inverse[i, j] != 0.0 else 0):
-                    x[then, i, c] += inverse[i, j] * rows[j, c]
-    h2, h3, h4 = h * h / 2.0, h * h * h / 6.0, h * h * h * h / 24.0
-    for i in range(nd):
+        goes = f[_GOES, i]
         for c in range(count):
-            v, a, b, d, e = x[1, i, c], x[2, i, c], x[3, i, c], x[4, i, c], x[5, i, c]
-            x[2, i, c] = (h * v + h2 * a) + (h3 * b + h4 * d)
-            x[0, i, c] += x[2, i, c]
-            x[1, i, c] = v + ((h * a + h2 * b) + (h3 * d + h4 * e))
+            rows[i, c] = goes * (G[0, i, c] + late * G[1, i, c])
+        for j in range(nd):
+            inert, stiff = goes * f[_GOES, j] * 2.0 / h * M[i, j], goes * K[i, j]
+            left[i, j] = inert + f[_GOES, j] * (goes * C[i, j] + 0.5 * h * stiff)
+            for c in range(count if inert != 0.0 or stiff != 0.0 else 0):  # not as of two arms on one base
+                rows[i, c] += inert * dv[j, c] - stiff * dq[j, c]
+        left[i, i] += 1.0 - goes
+    for k in range(nd - 1, -1, -1):
+        for i in range(k):
+            factor = left[i, k] / left[k, k]
+            for j in range(k if factor != 0.0 else 0):
+                left[i, j] -= factor * left[k, j]
+            for c in range(count if factor != 0.0 else 0):
+                rows[i, c] -= factor * rows[k, c]
+    for k in range(nd):
+        for i in range(k):
+            factor = left[k, i]
+            for c in range(count if factor != 0.0 else 0):
+                rows[k, c] -= factor * rows[i, c]
+        share = 1.0 / left[k, k]
+        for c in range(count):
+            rows[k, c] *= share
+            dq[k, c] += h * rows[k, c]
+            dv[k, c] = 2.0 * rows[k, c] - f[_GOES, k] * dv[k, c]  # one that was not let begin does not come back
 
 
 @inline_kernel
@@ -305,20 +308,17 @@ def follow(
     n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), first_q.shape[1]
     parts, steps, elements, forces, last_row = lags.shape[1], torques.shape[1], excess.shape[2], nd + ns, len(tape) - 1
     controlled, heavy = command.shape[2] > 0, rotors[: rotors.size if speeds.shape[1] > 0 else 0]
-    x = np.zeros((_ORDER + 2, nd + forces, count))
-    dq, dv, gone, given, rate = x[0, :nd], x[1, :nd], x[2, :nd], x[0, nd:], x[1, nd:]
-    dw, turned, dtau = np.zeros((forces, count)), np.zeros((forces, count)), np.zeros((axes, count))
+    G, rows = np.zeros((2, forces, count)), np.zeros((nd, count))
+    dq, dv, dw, dtau = first_q.copy(), first_v.copy(), np.zeros((forces, count)), np.zeros((axes, count))
     lead, kicks = np.zeros(count), np.zeros(nd)
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, change, drive = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd)
     numbers, wound, torque = np.zeros((forces, kernels.MASS + 1)), np.zeros((1, _GONE + 1), np.complex128), np.zeros(ns)
     f, k = np.zeros((_TURNS + _GONE + 1, forces)), np.zeros((2 * (forces + len(places)), _GONE + 1))
     room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
-    inverse, K, C, rows = M.copy(), M.copy(), M.copy(), np.zeros((nd, count))
+    inverse, left, K, C = M.copy(), M.copy(), M.copy(), M.copy()
+    turns = _WHOLE if controlled and tree is not None else _COMPOSED
     jumps = np.zeros(axes, dtype=np.bool_)
-    for i in range(nd):
-        assign(dq[i], first_q[i])
-        assign(dv[i], first_v[i])
     straight, kept, modes, rates = path
     maps, inputs, in_lanes = rates.shape[0], affine.INPUTS, np.zeros(affine.SCRATCH)
     filled, moves = np.zeros(maps, dtype=np.bool_), np.empty((maps * parts, inputs, 4))
@@ -329,8 +329,9 @@ def follow(
     period, row, step, at_band = np.sum(lengths), 1, 0, STATE + 5 * nd + ns
     while step < steps:
         if step % OFTEN == 0:
-            _flush(x)
-            _flush(dz)
+            _flush(dq.reshape(-1))
+            _flush(dv.reshape(-1))
+            _flush(dz.reshape(-1))
         if tree is None:  # noqa: SIM102 (it is not compiled for robots)
             if plain:
                 mode, taped = int(modes[step * parts]), row < last_row
@@ -397,36 +398,38 @@ def follow(
                         masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, numbers,
                         wound, torque, f, k,
                     )  # fmt: skip
-                    invert(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], inverse)
                     if edge:
+                        invert(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], inverse)
                         _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, inverse, dv)
                         edge = False
                     for i in range(forces):
                         for c in range(count):
-                            given[i, c], rate[i, c], turned[i, c] = 0.0, 0.0, 0.0
-                        band = int(abs(tape[row, at_band + i]))
-                        _add_seeds(seeds, i, band, i, h, f, k, given, rate, turned)
-                        for c in range(count if f[_ENTERS, i] != 0.0 or f[_WINDS, i] != 0.0 else 0):
-                            given[i, c] += f[_ENTERS, i] * dw[i, c] - f[_WINDS, i] * _stretch(dq, pairs, nd, i, c)
+                            G[0, i, c], G[1, i, c] = 0.0, 0.0
+                        for c in range(count if f[_FIRST, i] != 0.0 else 0):
+                            gone, w = _stretch(dq, pairs, nd, i, c), dw[i, c]
+                            G[0, i, c] = f[_ENTERS, i] * w - f[_WINDS, i] * gone
+                            dw[i, c] = f[_TURNS + _WOUND, i] * w - f[_TURNS + _GONE, i] * gone
+                        _add_seeds(seeds, i, int(abs(tape[row, at_band + i])), i, f, k, G, dw)
                     for i in range(len(places)):
-                        to = int(places[i, kernels.WHERE])
-                        _add_seeds(seeds, forces + i, 0, to, h, f, k, given, rate, turned)
+                        _add_seeds(seeds, forces + i, 0, int(places[i, kernels.WHERE]), f, k, G, dw)
                     for j in range(axes if controlled else 0):
                         r = rotors[j]
                         for c in range(count):
-                            given[r, c] += (2.0 - f[_TAKES, r]) * dtau[j, c]
+                            G[0, r, c] += (2.0 - f[_TAKES, r]) * dtau[j, c]
                     if tree is not None and len(seeds.links) > 0:
                         regressor(tree, room, Y)
                         to_shafts(tree.joints, Y.T, room)
                     for e in range(len(seeds.links)):
                         for i in range(n):
-                            given[i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
-                    _join(pairs, carriers, f, K, C, x)
-                    _move(h, f, inverse, K, C, rows, x)
+                            G[0, i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
+                    _join(pairs, carriers, f, K, C, G)
+                    share = -0.5
+                    for i in range(turns.size):
+                        _move(h * turns[i], share + 0.5 * turns[i], f, M, K, C, G, left, rows, dq, dv)
+                        share += turns[i]
                     for i in range(forces):
                         for c in range(count if f[_FIRST, i] != 0.0 else 0):
-                            gains = f[_TURNS + _GONE, i] * _stretch(gone, pairs, nd, i, c) + turned[i, c]
-                            dw[i, c] = f[_TURNS + _WOUND, i] * dw[i, c] + gains
+                            dw[i, c] += f[_TURNS + _GONE, i] * _stretch(dq, pairs, nd, i, c)
                 time += h
                 if tape[row, kernels.EVENT] >= 0.0:
                     _pass_event(tape, row, nd, pairs, heavy, M, seeds, dq, dv, lead, kicks)
