@@ -13,7 +13,8 @@ For a joint these are tried, in order:
 5. A descent to the full tolerance. Where no second start found this solution, it is first repeated from nearby.
    The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
-7. If 10 % of the torque or more are not explained, the same from joints of other inertias, shares and modes.
+7. If 10 % of the torque or more are not explained, or no second start led to the end, the same from joints of other
+   inertias, each with its own crossover: a mode inside the bandwidth makes the rigid joint another one.
 
 A robot of rigid joints determines sums: of both sides' friction, of rotor and link. These are split, weighted by their
 accuracy, and each spring is given a frequency of rotor against link. The rest is the search of
@@ -82,7 +83,7 @@ _LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tr
 # Times the crossover, the lowest and the highest mode of a grid, and the most between two neighbours.
 _MODES, _WIDE_MODES = (0.5, 12.0, 1.25), (0.2, 4.0, 1.4)
 _SHARES, _WIDE_SHARES = (0.25, 0.5, 0.75), (0.15, 0.5, 0.85)  # of the load in the inertia
-_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0)  # of the wide grid, times the rigid joint's
+_INERTIAS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0, 10.0, 20.0, 40.0)  # times the rigid joint's
 _UNSTABLE = 10.0  # times the torque: what a loop that is as good as unstable leaves
 
 _WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
@@ -122,35 +123,37 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
     Raises:
         MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
     """
-    rough, rigid = None, dict[str, float]()
     try:
         rough = rough_rigid_joint(task, history)
         rigid = {p.name: rough.values[p.name] for p in rough.problem.joint.parameters}
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
         require_work(problem)
         history.progress(Detail(error, "starting from a joint that follows its reference"))
+        rough, rigid = None, _follow_reference(task)
     motion = _find_motion(problem, rough)
 
-    def search_about(joint: Mapping[str, float], widely: bool) -> Solved:
-        modes = frequencies_to_try(problem.axis.law, joint["inertia"], problem.sample_time, widely)
-        row, poor = [frequency] if frequency else modes, min([NOTHING, *(left for left, _ in ends)])
-        found = search_spring(problem, joint, row, task.filtering, history, widely, poor)
+    def search(widely: bool) -> Solved:
+        law, period, poor = problem.axis.law, problem.sample_time, min([NOTHING, *(left for left, _ in ends)])
+        each = [times * rigid["inertia"] for times in (_INERTIAS if widely else (1.0,))]
+        rows = {one: [frequency] if frequency else frequencies_to_try(law, one, period, widely) for one in each}
+        found = search_spring(problem, rigid, rows, task.filtering, history, poor)
         if motion is None:
             return found
         # From an end at rest no descent leads to one that moves.
         moving = problem.replace_parameters({p.name: replace(p, start=motion[p.name]) for p in INITIAL_STATE})
-        end = search_spring(moving, joint, row, task.filtering, history, widely, poor)
+        end = search_spring(moving, rigid, rows, task.filtering, history, poor)
         return end if is_significant(found, end) else found
 
     ends, failures = list[tuple[float, Solved]](), list[MethodError]()
-    for joint, widely in ((rigid, False), (rigid, True), ({}, True))[: 1 if frequency else 3 if rigid else 2]:
+    for widely in (False, True)[: 1 if frequency else 2]:
         try:
-            found = search_about(joint or _follow_reference(task), widely)
+            found = search(widely)
         except MethodError as error:
             failures.append(error)
             continue
         ends.append((found.norm / found.problem.size, found))
-        if ends[-1][0] <= LITTLE:
+        fast = frequency_of(found.values) > FASTEST / found.problem.sample_time
+        if ends[-1][0] <= LITTLE and found.solution.starts[0] > 1 and not fast:
             break
     if not ends:
         raise failures[0]
@@ -220,9 +223,7 @@ def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
 def _follow_reference(task: Task) -> dict[str, float]:
     """Values of a rigid joint without friction that follows its reference."""
     problem = _rigid_problem(task, rigid_cutoff(task.record))
-    names = [p.name for p in problem.joint.parameters]
-    values = regular_start(problem.keeping({name: 0.0 for name in names if name != "inertia"}))
-    return {name: values[name] for name in names}
+    return regular_start(problem.keeping({p.name: 0.0 for p in problem.joint.parameters if p.name != "inertia"}))
 
 
 def crossover(law: SampledLaw, inertia: float) -> float:
@@ -268,10 +269,9 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
 def search_spring(
     problem: ClosedLoopProblem,
     rigid: Mapping[str, float],
-    row: Sequence[float],
+    rows: Mapping[float, Sequence[float]],
     filtering: Filtering,
     history: History,
-    widely: bool = False,
     poor: float = NOTHING,
 ) -> Solved:
     """Best flexible joint from a grid of starts, see the module.
@@ -282,10 +282,9 @@ def search_spring(
     Args:
         problem: of the joint, under its controller or along the motion of its motor.
         rigid: values of a rigid joint.
-        row: free-free frequencies to start from, Hz.
+        rows: free-free frequencies to start from, Hz, by inertia: several, if the rigid joint may be another one.
         filtering: as requested.
         history: of the search.
-        widely: whether other inertias are tried, too: a mode inside the bandwidth makes the rigid joint another one.
         poor: of the torque: an end that leaves more is not followed.
 
     Raises:
@@ -293,7 +292,7 @@ def search_spring(
     """
     wide, ends, together = on_band(problem, filtering, math.inf), list[tuple[float, float, FloatArray]](), 0
     rough = replace(ROUGH, poor=poor * wide.size)
-    for values in _explore(wide, rigid, row, history, widely)[:_REFINED]:
+    for values in _explore(wide, rigid, rows, history)[:_REFINED]:
         on = on_band(problem, filtering, frequency_of(values))
         x = history.solve(on, on.vector(values), rough).x
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
@@ -322,18 +321,19 @@ def search_spring(
 
 
 def _explore(
-    problem: ClosedLoopProblem, rigid: Mapping[str, float], row: Sequence[float], history: History, widely: bool
+    problem: ClosedLoopProblem, rigid: Mapping[str, float], rows: Mapping[float, Sequence[float]], history: History
 ) -> list[dict[str, float]]:
-    """Best start at each frequency, best first; all starts for one frequency."""
-    inertias, shares = (_INERTIAS, _WIDE_SHARES) if widely else ((1.0,), _SHARES)
-    each = list(product(row, inertias, shares))
-    starts = [start_with_mode(problem, {**rigid, "inertia": n * rigid["inertia"]}, f, share) for f, n, share in each]
+    """Best start at each frequency, or of several inertias at each, best first; all starts for one frequency."""
+    shares = _WIDE_SHARES if len(rows) > 1 else _SHARES
+    each = [(inertia, f, share) for inertia, row in rows.items() for f, share in product(row, shares)]
+    by = 0 if len(rows) > 1 else 1 if len(each) > len(shares) else None
+    starts = [start_with_mode(problem, {**rigid, "inertia": one}, f, share) for one, f, share in each]
     costs = in_threads(lambda start: float(np.linalg.norm(problem.residual(problem.vector(start)))), starts)
     history.counted.evaluations += len(starts)
     found = dict[object, dict[str, float]]()
     for i in np.argsort(costs):
         if costs[i] < _UNSTABLE * problem.size:  # a start beside another leads nowhere new
-            found.setdefault(each[i][0] if len(row) > 1 else i, starts[i])
+            found.setdefault(i if by is None else each[i][by], starts[i])
     if not found:
         raise MethodError(
             "No start could be simulated: every flexible joint tried makes this loop unstable; check the "
@@ -343,7 +343,7 @@ def _explore(
     history.progress(f"searching from a mode near {frequency_of(best[0]):.3g} Hz, the best of {len(starts)}")
     given = {p.name: p.start for p in problem.free if p.start is not None and p.name not in INITIAL}
     # Starts that come with the parameters are tried first, and no reason to try no others.
-    return [best[0] | given, *best] if given and not widely else best
+    return [best[0] | given, *best] if given and len(rows) == 1 else best
 
 
 def start_with_mode(
