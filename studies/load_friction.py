@@ -34,7 +34,7 @@ def judge(seed: int, system: str) -> dict[str, float | bool]:
         z = dict(zip(robot.names, map(float, errors), strict=True))
         estimate = ji.identify(arm.logs[0], arm.plain, ji.DIDIM(), checks=False)
         said = diagnose_robot(estimate, arm.logs[0], LAWS)
-        named = "grows with its torque" in " ".join(map(str, said.sentences))
+        named = any(one.test.name == _FAULT for axis in said.axes for one in axis.faults.findings)
     shares = [error for name, error in z.items() if name.endswith("friction_per_torque")]
     grips = [error for name, error in z.items() if name.endswith("coulomb")]
     inside = float(np.mean([abs(error) <= 2.0 for error in z.values()]))

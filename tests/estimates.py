@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import jointid as ji
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.diagnosis import diagnose_joint
-from jointid.diagnostics.search import MOST
 from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.parameters import robot_parameters
 from jointid.estimation.problems.simulated import pose_robot
@@ -40,6 +39,6 @@ def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.
     return [*problem.left_by(Numbers.of(bodies))]
 
 
-def faults_of(estimate: Estimate, record: Record, most: int = MOST) -> AxisFaults:
+def faults_of(estimate: Estimate, record: Record, **asked: Any) -> AxisFaults:
     """Return the faults that were tested of a joint's loop, log and mechanics."""
-    return diagnose_joint(estimate, record, *rebuild_problem(estimate, record), most).axes[0].faults
+    return diagnose_joint(estimate, record, *rebuild_problem(estimate, record), **asked).axes[0].faults

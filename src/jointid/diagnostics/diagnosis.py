@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.model_free import Agreement, LawOnPosition, compare_law
 from jointid.diagnostics.robot_causes import find_copied_reference, find_robot_cause
 from jointid.diagnostics.score import SolvedLoop
-from jointid.diagnostics.search import MOST, search_axes, search_faults
+from jointid.diagnostics.search import search_axes, search_faults
 from jointid.diagnostics.suspects import AxisFaults
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
@@ -219,13 +220,13 @@ class Diagnosis(Documented):
 
 
 def diagnose_joint(
-    estimate: Estimate, record: Record, problem: ClosedLoopProblem, x: FloatArray, most: int = MOST
+    estimate: Estimate, record: Record, problem: ClosedLoopProblem, x: FloatArray, **asked: Any
 ) -> Diagnosis:
-    """Diagnose a joint's DIDIM estimate from its solved problem."""
+    """Diagnose a joint's DIDIM estimate from its solved problem, as is asked of `search_faults`."""
     std = {p.name: p.stderr for p in estimate.rows if p.stderr is not None}
     law = compare_law(record, problem.loop)
     proved = problem.loop if law is not None and law.holds else None
-    faults = search_faults(SolvedLoop(problem, x, std, record, proved), most)
+    faults = search_faults(SolvedLoop(problem, x, std, record, proved), **asked)
     torques = torques_of_loop(problem, x)
     repeats = next((one.passed for one in estimate.about(Subject.REPEATABLE)), None)
     repeats = None if repeats is None else not repeats

@@ -29,11 +29,11 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics import model_free
-from jointid.diagnostics.changes import OTHER_LAWS, Case, Cause, is_small, list_changes
+from jointid.diagnostics.changes import Case, Cause, is_small, list_changes
 from jointid.diagnostics.score import LEVEL, SolvedLoop
-from jointid.diagnostics.suspects import FaultTest, Finding
+from jointid.diagnostics.search import is_gross
+from jointid.diagnostics.suspects import Finding
 from jointid.estimation.identify import identify_record, part_of
-from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.parameters import DELAYS, OF_LOG
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
@@ -46,36 +46,32 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.plant import DELAY
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
-_PERIODS = 15_000_000  # of controllers, simulated with all derivatives in some 20 s of the processor: of a search
-_LEAST, _TIMES = 5_000_000, 2  # of a search, at most; or so many times those of the identification
-_WITHOUT = 0.125  # of a simulation with all derivatives: one without them
+_PERIODS = 10_000_000  # of controllers, simulated with all derivatives in some 10 s of the processor: to their ends
+_ENOUGH, _SECONDS = 20_000, 4.0  # periods, and s, of a record's beginning that shows a gross mistake
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
 _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong sample time spoils all of a fit
 # Times the residual of free responses: a cause that leaves more is not all that is wrong
-_MORE, _MORE_OF_POSITION = 1.15, 2.0
+_MORE, _MORE_OF_POSITION = 1.15, 1.4
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
-# Of the torque: so much that is no response to the reference may be another signal's, and so much is
-_NO_RESPONSE, _UNRELATED = 0.1, 0.95
-_SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
-_MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
-_MUCH_LATER = 0.5  # periods
+_UNRELATED = 0.95  # of the torque: so much that is no response to the reference is another signal's
+_SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, or of no response said
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
-_NOW, _FIRST = 2 / 3, 0.75  # of a budget: that of a race before another one; of that, for first steps
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
 _ROUGHLY, _SWINGS = 0.05, 10.0  # of the torque: what a rigid model of a flexible joint adds; periods of its cut-off
-_AS_FAST, _FASTEST = 2, 5e-4  # times the log, s of a period: a faster law counts or holds samples, or waits for the end
+_FASTEST = 5e-4  # s of a period: a faster law is as fast as the log, or counts or holds samples, or waits for the end
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
+_VANISHES = 1e-2  # of the least start of a number: its part of the law is gone there, and with it its derivative
 _LIGHTEST = 0.01  # of the rigid joint: inertia of a motor; a lighter one chatters in its loop
 _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
-_TWICE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
 
 FAILS = (JointidError, np.linalg.LinAlgError)  # raised where a record does not allow a fit or a check
 
@@ -91,7 +87,6 @@ class Causes:
         nearest: the cause that explains most, if something else is wrong; else None.
         unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
         plain: a cause visible in the samples, or a motor at rest; else None.
-        partly: whether the budget of the search left causes out.
     """
 
     declared_error: float
@@ -99,7 +94,6 @@ class Causes:
     nearest: Cause | None = None
     unexplained: float = 0.0
     plain: Message | None = None
-    partly: bool = False
 
     @property
     def found(self) -> bool:
@@ -126,15 +120,13 @@ class Causes:
         if self.nearest is not None:
             values = {"nearest": self.nearest.name, "error": self.nearest.left}
             clause += f": the nearest is that {self.nearest.words}, which leaves {number(100 * self.nearest.left, 2)} %"
-        if self.unexplained > _NO_RESPONSE:
+        if self.unexplained > _SUSPICIOUS:
             said = f"{number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check which "
             said += "column is the torque, and declare a signal that is injected (channel injected)"
             clause += f"; {said}"
             if self.unexplained > _UNRELATED and self.nearest is None:
                 causes = [{"cause": "torque_column", "value": None, "error": self.unexplained}]
                 return Message(Reason.CAUSE_FOUND, said, {"causes": causes, "declared_error": declared}, said)
-        if self.partly:
-            clause += "; not each of them was tried to its end: diagnose a part of the record (record.stop)"
         return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
 
 
@@ -151,15 +143,15 @@ def explain_misfit(
     loop, error, rows = estimate.settings.loop, estimate.fit.filtered_error, estimate.rows
     assert loop is not None and record.reference is not None
     every = findings or ()
-    gross = any(_is_gross(one.test, estimate.data.sample_time) for one in every)
+    gross = any(is_gross(one.test, estimate.data.sample_time) for one in every)
     poor = gross or error > _SUSPICIOUS
     if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
         # Far below its resonance a flexible joint is rigid: its spring causes no misfit there, and no other gain.
         rigid = _list_rigid_starts(Case(record, loop, estimate.settings.filtering))
-        for one in _race([rigid], _PERIODS, loss=_ROUGHLY)[0]:
+        for one in _race([rigid], _ROUGHLY):
             tests = SolvedLoop(one.problem, one.x).tests
             gains = (test for test in tests if test.p_value <= LEVEL and test.fault.measure != "ms")
-            poor = one.error > _SUSPICIOUS or any(_is_gross(test, estimate.data.sample_time) for test in gains)
+            poor = one.error > _SUSPICIOUS or any(is_gross(test, estimate.data.sample_time) for test in gains)
     if not poor and findings is not None and not findings:
         return None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
@@ -173,15 +165,6 @@ def explain_misfit(
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None
-
-
-def _is_gross(one: FaultTest, period: float) -> bool:
-    """Test whether a fault is too large for linear sensitivities."""
-    if one.name in OTHER_LAWS:  # its size is a share of what another law changes
-        return False
-    if one.fault.measure == "ms":
-        return abs(one.size) > _MUCH_LATER * period
-    return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
 
 
 def find_failure_causes(
@@ -247,46 +230,43 @@ def find_causes(
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *OF_LOG}
         free = [row.name for row in estimate.rows if row.name in names and not row.of_joint]
     declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
-    declared = replace(declared, filtering=filtering.resolve(declared.torque.sample_time, loop.joint.model))
-    posed = _pose(declared, loop)
+    declared = _begin(replace(declared, filtering=filtering.resolve(declared.torque.sample_time, loop.joint.model)))
+    posed, record = _pose(declared, loop), declared.record
     responses = 0.0 if posed is None else model_free.find_unexplained_share(posed, declared.reference.values)
     if responses > _UNRELATED and not loop.joint.forces:  # those of the position answer no reference
         return Causes(left, unexplained=responses)
-    periods = len(declared.torque) * declared.torque.sample_time / declared.period
-    asked = math.inf if estimate is None else max(_LEAST, _TIMES * estimate.fit.simulations * periods)
-    tried, bound = list_cases(declared), min(_PERIODS, asked)
+    tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
     flexible = loop.joint.model == "flexible"  # and rigid far below its resonance
-    fits, spent, partly = _race([_list_rigid_starts(one) for one in tried], bound, loss=_ROUGHLY * flexible)
+    fits = _race([_list_rigid_starts(one) for one in tried], _ROUGHLY * flexible)
     if flexible:
         near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
-        fits, spent, left_out = _race([_list_flexible_starts(one) for one in near], bound, spent)
-        partly |= left_out
+        fits = _race([_list_flexible_starts(one) for one in near])
     as_declared = [fit for fit in fits if fit.case.change is None]
     left = min((left, *(fit.error for fit in as_declared)))
     for fit in fits[:1]:
-        # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
-        memory = model_free.MEMORY if fit.case.free else model_free.MEMORY * max(fit.case.factor or 1.0, 1.0)
-        responses = model_free.find_unexplained_share(fit.problem, fit.case.reference.values, memory)
+        responses = model_free.find_unexplained_share(fit.problem, fit.case.reference.values)
     candidates = [
         replace(cause, left=fit.error)
         for fit in fits
         if fit.case.change is not None
         for cause in fit.case.change.say(fit.number, declared)
     ]
-    if isinstance(loop.joint, RigidJoint):
+    least = min((one.left for one in candidates), default=math.inf)
+    if not flexible or least > _MORE * responses:
         with contextlib.suppress(*FAILS):
-            moved = replace(record, motor_position=record.reference)
-            one = identify_record(moved, loop.joint, IDIM(), filtering=declared.filtering)
+            moved = replace(record, motor_position=record.reference, load_position=None)
+            one = identify_record(moved, DriveSide(loop.joint) if flexible else loop.joint, None, declared.filtering)
             words = "the channel given as the reference is the motor's position"
             candidates.append(Cause("reference_is_position", words, left=one.fit.filtered_error))
+    if isinstance(loop.joint, RigidJoint):
         least = min((one.left for one in candidates), default=math.inf)
-        for fit in as_declared if least > _TWICE * responses else ():
+        for fit in as_declared if least > _FAR_MORE * responses else ():
             bends = replace(fit.case, loop=replace(fit.case.loop, joint=loop.joint.flexible))
-            for bent in _race([_list_flexible_starts(replace(fit, case=bends))], bound, spent)[0]:
+            for bent in _race([_list_flexible_starts(replace(fit, case=bends))]):
                 mode = loop.joint.flexible.frequencies(bent.problem.values(bent.x))["free_free"]
                 words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
-                candidates += [Cause("flexible", words, mode, bent.error)] * (bent.error * _TWICE <= least)
+                candidates += [Cause("flexible", words, mode, bent.error)] * (bent.error * _FAR_MORE <= least)
     explaining = _explaining(sorted(candidates, key=lambda one: one.left), left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
@@ -295,7 +275,16 @@ def find_causes(
     for fit in [one for one in fits if best and not more and one.error == best.left and one.case.change][:1]:
         likeliest = SolvedLoop(fit.problem, fit.x).tests[:1]
         more = any(one.p_value <= LEVEL and not one.possible for one in likeliest)
-    return Causes(left, () if more else explaining, best if more else None, responses, partly=partly)
+    return Causes(left, () if more else explaining, best if more else None, responses)
+
+
+def _begin(case: Case) -> Case:
+    """The case with the beginning of a long record, if it moves both ways."""
+    asked, step = case.reference, max(case.period, min(case.torque.sample_time, _FASTEST))
+    seconds = asked.sample_time * int(np.argmax(asked.values != asked.values[0])) + max(_SECONDS, _ENOUGH * step)
+    begun = ((name, one, math.ceil(seconds / one.sample_time)) for name, one in case.record.items())
+    part = case.record.with_channels({name: replace(one, values=one.values[:size]) for name, one, size in begun})
+    return case if model_free.find_too_short(part) else replace(case, record=part)
 
 
 def list_cases(declared: Case) -> list[Case]:
@@ -381,32 +370,23 @@ class Fit:
         return replace(self, x=solution.x, error=error, evaluations=used) if error < _ASTRAY else None
 
 
-def _race(
-    starts: Sequence[Iterator[Fit]], bound: float, spent: float = 0.0, loss: float = 0.0
-) -> tuple[list[Fit], float, bool]:
-    """Solutions of the cases, best first; periods spent; and whether cases were left out.
+def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> list[Fit]:
+    """Solutions of the cases, best first.
 
     The best start of each case is followed, and poor ones are dropped early. Cases within the share `loss` of the best
-    are kept for a later race, as is a third of the bound on the periods that all races simulate.
+    are kept for a later race.
     """
-    listed = in_threads(list, starts)
-    share = sum(map(len, listed)) / bound  # many starts are thinned, those of fast laws the most
-    kept = [x for own in listed for k, x in enumerate(own) if k % (1 + int(share * x.problem.axis.periods)) == 0]
-    tried = _best_of_each(fit for fit in in_threads(Fit.begin, kept) if fit.error < _ASTRAY)
-    spent += _WITHOUT * sum(one.problem.axis.periods for one in kept)
-    most = (bound - spent) * (_NOW if loss else 1.0) + spent
-    costs = _FEW * np.cumsum([fit.problem.axis.periods for fit in tried])
-    count = max(int(np.searchsorted(costs, _FIRST * (most - spent), "right")), 1)
-    fits = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW), tried[:count])))
-    spent += float(np.max(costs[:count], initial=0.0))
-    least = fits[0].error if fits else 0.0
+    begun = itertools.chain.from_iterable(in_threads(list, starts))
+    tried = _best_of_each(fit for fit in in_threads(Fit.begin, [*begun]) if fit.error < _ASTRAY)
+    fits = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW), tried)))
+    least, spent = fits[0].error if fits else 0.0, 0
     for k, fit in enumerate(fits):
-        if fit.error <= max(_BEHIND * least, least + loss) and spent <= most:
+        if fit.error <= max(_BEHIND * least, least + loss) and spent <= _PERIODS:
             begin = fit if loss else fit.restore_period()  # to its minimum, where its number can be stated
             fits[k] = begin.descend(_TO_ITS_END) or fit
             spent += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
             least = min(least, fits[k].error)
-    return _best_of_each(fits), spent, count < len(tried)
+    return _best_of_each(fits)
 
 
 def _best_of_each(fits: Iterable[Fit]) -> list[Fit]:
@@ -430,7 +410,8 @@ def _list_rigid_starts(case: Case) -> Iterator[Fit]:
 def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
     """Yield starts with modes, near the rigid fit's number and at others."""
     case, values = rigid.case, rigid.problem.values(rigid.x)
-    near = [values[case.free] * by for by in _NEAR] if case.free in case.numbers else []
+    known = case.free in case.numbers and values[case.free] > _VANISHES * min(case.starts)
+    near = [values[case.free] * by for by in _NEAR] if known else []
     case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= 10 else ())))
     for posed in filter(None, (_pose(case, loop) for loop in case.loops)):
         motor = replace(posed.joint.parameters[0], lower=_LIGHTEST * values["inertia"])
@@ -454,7 +435,7 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
     filtering, log = case.filtering, case.torque.sample_time
     law: Any = loop.controller
     filters = (as_filter(getattr(law, "velocity_filter", (1.0,))), *getattr(law, "torque_filters", ()))
-    if case.period < (slower := log / math.ceil(max(_AS_FAST, log / _FASTEST))):
+    if case.period < (slower := log / math.ceil(log / _FASTEST)):
         with contextlib.suppress(JointidError):  # its filters and its position loop do not allow every period
             replace(law, period=slower).law(log)
             each = ([one.coefficients(period) for period in (slower, case.period)] for one in filters)

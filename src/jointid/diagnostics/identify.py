@@ -24,11 +24,11 @@ from jointid.common.text import in_words, join, number
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis, diagnose_joint, diagnose_robot
-from jointid.diagnostics.explain import FAILS, explain_misfit
+from jointid.diagnostics.explain import FAILS, Causes, explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search import find_part_of_loop
-from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, Fault, FaultSignature
+from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, Fault, FaultSignature, Finding
 from jointid.estimation.force_in_loop import MATTERS, TOLD
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
@@ -186,26 +186,30 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     record = fit.records[0]
     if (broken := find_broken_part(record)) is not None:
         return _fail(broken), (), None
-    causes = found = part = None
+    found, searched = None, list[Causes | None]()
     progress("checking loop and log")
+
+    def explain(findings: Sequence[Finding] | None) -> bool:
+        if not searched and find_part_of_loop(problem, x, record) is None:  # what acts all the time explains no part
+            with contextlib.suppress(*FAILS):
+                searched.append(explain_misfit(assemble(fit), record, findings, progress))
+        return any(searched)
+
     whole = all(p.value is not None for p in fit.rows)
     try:
         if whole:
-            found = diagnose_joint(fit, record, problem, x)
+            found = diagnose_joint(fit, record, problem, x, explain=explain)
             loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
         else:
             loop = (check_without_joint(record, problem.loop_at(x)),)
     except FAILS as error:
         loop = (skip_test(Subject.LOOP, f"not checked: {error}"),)
     faults = None if found is None else found.axes[0].faults
-    with contextlib.suppress(*FAILS):
-        part = find_part_of_loop(problem, x, record) if faults is None else faults.part
-        if part is None:  # what acts all the time does not explain a part of it
-            causes = explain_misfit(assemble(fit), record, None if faults is None else faults.findings, progress)
-    if causes is not None:
-        return _fail(causes.message), (), found
+    part = find_part_of_loop(problem, x, record) if faults is None else faults.part
     if part is not None:
         return _fail(part), (), found
+    if explain(None if faults is None else faults.findings):
+        return _fail(*(one.message for one in searched if one is not None)), (), found
     law = None if found is None else found.axes[0].law
     named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.

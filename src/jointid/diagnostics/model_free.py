@@ -40,7 +40,7 @@ from jointid.simulation.controller_torque import law_outputs
 from jointid.simulation.loop_input import prepare, to_log
 from jointid.uncertainty.covariance import Influence
 
-MEMORY = 0.3  # s, that a loop remembers
+_MEMORY = 0.3  # s, that a loop remembers
 _SHORTEST = 2.0  # s of a record: a shorter one has fewer than two samples for each number of the responses
 
 # The samples
@@ -467,7 +467,7 @@ _STANDS = 1e-9  # of the greatest velocity
 _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered signal are nearly the same
 
 
-def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, memory: float = MEMORY) -> float:
+def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray) -> float:
     """Share of the torque without linear response to reference or injected signal."""
     from scipy.linalg import toeplitz
 
@@ -483,7 +483,7 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     if np.any(added):
         inputs.append(to_log(problem.axis, added))
     count, seen = len(inputs), filtering.decimate(np.column_stack(inputs), T)
-    lags = min(math.ceil(memory / (T * reference.size / torque.size)), torque.size)
+    lags = min(math.ceil(_MEMORY / (T * reference.size / torque.size)), torque.size)
     rows, width = at.size, count * lags + 1
     if rows < 2 * width:
         return 0.0

@@ -251,10 +251,10 @@ class SolvedLoop:
         ]
         return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
 
-    @property
+    @cached_property
     def residual(self) -> FloatArray:
         """Residual of the problem, (rows,)."""
-        return self._shown[0]
+        return self.problem.residual(self.x)
 
     @property
     def signatures(self) -> tuple[FaultSignature, ...]:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,22 +30,11 @@ from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import POSITION_UNIT
-from jointid.diagnostics import changes
+from jointid.diagnostics import changes, suspects
 from jointid.diagnostics.axis_torques import AxisTorques, is_noise
 from jointid.diagnostics.model_free import excludes, offer
 from jointid.diagnostics.score import LEVEL, RIVAL, SolvedLoop, score
-from jointid.diagnostics.suspects import (
-    LIMIT,
-    LOG_DELAY,
-    LOG_GAIN,
-    REFERENCE_DELAY,
-    TORQUE_FILTER,
-    AxisFaults,
-    FaultSignature,
-    FaultTest,
-    Finding,
-    OtherLaw,
-)
+from jointid.diagnostics.suspects import AxisFaults, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.estimation.descent import descend, least_squares
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
@@ -58,6 +47,7 @@ from jointid.uncertainty.position_dependent_error import RESTING, cells
 
 MOST = 3  # faults of one axis
 _NEAR = 0.5  # p-value of a fault of the mechanics that one in twenty healthy joints has
+_MUCH_LARGER, _MUCH_LATER = 0.25, 0.5  # of a declared number, and periods: the cause of such a fault is searched for
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
@@ -78,12 +68,24 @@ _KNOWN = 0.5  # of the largest singular value: what of the parameters the rest o
 # Of a joint
 
 
-def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
+def is_gross(one: FaultTest, period: float) -> bool:
+    """Test whether a fault is too large for linear sensitivities."""
+    if one.name in changes.OTHER_LAWS:  # its size is a share of what another law changes
+        return False
+    if one.fault.measure == "ms":
+        return abs(one.size) > _MUCH_LATER * period
+    return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
+
+
+def search_faults(
+    initial: SolvedLoop, most: int = MOST, explain: Callable[[Sequence[Finding]], bool] = lambda _: False
+) -> AxisFaults:
     """Return the faults of a joint, its loop and its log.
 
     Args:
         initial: its solved problem; the identified parameters are free, and are not tested.
         most: faults named at most, one after another.
+        explain: whether a gross fault has a cause, which ends the search.
     """
     problem = initial.problem
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
@@ -95,24 +97,32 @@ def search_faults(initial: SolvedLoop, most: int = MOST) -> AxisFaults:
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
         laws = test_laws(found)
         stated = choose_law([one for one in laws if one.explains(found)])
-        if stated is not None:
-            alike = [one for one in laws if one is not stated and one.possible and one.as_likely(stated)]
-            findings.append(find_other_law(found, stated, alike))
-            named = (*found.named, *(fault.name for fault in (stated.law.fault, *stated.test.alike)))
-            found = replace(found, problem=stated.problem, x=stated.x, named=named)
-        elif found.tests and found.tests[0].p_value <= LEVEL:
-            possible = [one for one in (found.tests[0], *found.list_rivals(found.tests[0])) if one.possible]
-            if not possible:
-                last = found.tests[0]
-                break
-            finding, found = _find(found, possible[0])
-            findings.append(finding)
-        else:
+        likely = [one for one in found.tests if one.p_value <= LEVEL]
+        possible = [one for one in likely if one.possible]
+        if stated is None and not likely:
             # The p-values of the mechanics are those of a tenth of the level: what is near it is not named.
             near = (one for one in found.tests if one.fault.mechanical and LEVEL < one.p_value <= _NEAR)
             likely = [*itertools.islice(near, 1), *(() if findings else found.excluded[:1])]
             suspected = [*(_find(found, one)[0] for one in likely), *find_undecided(found, laws)]
             break
+        if stated is None and not any(one.possible for one in (likely[0], *found.list_rivals(likely[0]))):
+            last = likely[0]
+            break
+        corrected = (_find(found, one) for one in possible)
+        if stated is not None:
+            alike = [one for one in laws if one is not stated and one.possible and one.as_likely(stated)]
+            named = (*found.named, *(fault.name for fault in (stated.law.fault, *stated.test.alike)))
+            under = replace(found, problem=stated.problem, x=stated.x, named=named)
+            # A law is judged by a fit, and so is the strongest fault: one step towards it may show little.
+            both = (find_other_law(found, stated, alike), under), *itertools.islice(corrected, 1)
+            finding, found = min(both, key=lambda one: float(np.linalg.norm(one[1].residual)))
+        elif is_gross(possible[0], problem.sample_time) and explain(gross := [Finding(possible[0], None, (), {})]):
+            findings += gross
+            break
+        else:  # what leaves more when it is corrected is none, however strong it looks from afar
+            less = (one for one in corrected if np.linalg.norm(one[1].residual) < np.linalg.norm(found.residual))
+            finding, found = next(less, None) or _find(found, possible[0])
+        findings.append(finding)
     part = find_part_of_loop(found.problem, found.x, found.record)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, suspected, found = [], [], initial
@@ -136,7 +146,7 @@ def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
     if len(after.corrected) > len(found.corrected):
         in_joint = values.keys() != after.problem.units.keys()
         return Finding(test, None, rivals, changes, left=left if in_joint else None), after
-    if test.fault is LIMIT:
+    if test.fault is suspects.LIMIT:
         return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
     test = replace(test, size=values[test.name] - test.declared)
     return Finding(test, values[test.name], rivals, changes, left=left), after
@@ -152,24 +162,26 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
     signature = next(a for a in found.signatures if (a.fault, a.shape) == (fault, test.shape))
     named = (*found.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
     held = replace(found, corrected=(*found.corrected, signature), named=named)
-    if signature.raw is not None and fault is not LIMIT:
+    if signature.raw is not None and fault is not suspects.LIMIT:
         change, beside = _search_law(found, signature) or (test.size * signature.raw, {})
         problem = problem.with_log(measured=problem.log.measured - change[:, np.newaxis])
-        x = descend(problem, found.x, _TOLERANCE).x
-        return replace(held, problem=problem, x=x), {**problem.values(x), **beside}
+        after = replace(held, problem=problem, x=solve(problem, least_squares(_TOLERANCE, _FEW), found.x).x)
+        less = np.linalg.norm(after.residual) < np.linalg.norm(found.residual)
+        return (after if less else held), {**problem.values(after.x), **beside}
     start = test.declared + test.size
-    if fault is LIMIT:  # the declared one may be infinite
+    if fault is suspects.LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
         problem = problem.under(with_numbers(problem.loop.controller, {test.name: start}))
     wider = problem.freeing(test.name)
     start = max(start, next(p.lower for p in wider.free if p.name == test.name))
     try:
-        x = descend(wider, wider.vector(problem.values(found.x) | {test.name: start}), _TOLERANCE).x
+        begin = wider.vector(problem.values(found.x) | {test.name: start})
+        x = solve(wider, least_squares(_TOLERANCE, _FEW), begin).x
         wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held, problem.values(found.x)
     reached = wider.values(x)[test.name] - test.declared
-    astray = fault is not LIMIT and reached * test.size < _HALF * test.size**2
+    astray = fault is not suspects.LIMIT and reached * test.size < _HALF * test.size**2
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
         return held, problem.values(found.x)
@@ -307,15 +319,17 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
         found = wider.values(descend(wider, wider.vector(problem.values(near) | {name: start}), _TOLERANCE).x)
         return found[name], problem.vector(found)
 
-    late, near = find(law, REFERENCE_DELAY.name, law.reference_delay, x)
+    late, near = find(law, suspects.REFERENCE_DELAY.name, law.reference_delay, x)
     more = late - law.reference_delay
     mean = period * max(round(2.0 * more / period + 1.0), 2)
-    laws = [(changes.change_time(law, *one), near) for one in ((changes.AVERAGED, mean), (REFERENCE_DELAY, late))]
+    laws = [
+        (changes.change_time(law, *one), near) for one in ((changes.AVERAGED, mean), (suspects.REFERENCE_DELAY, late))
+    ]
     if more > 0.0 and not getattr(law, "torque_filters", True):
         with contextlib.suppress(JointidError):  # the lag vanishes
-            lagging = changes.change_time(law, TORQUE_FILTER, more).controller
+            lagging = changes.change_time(law, suspects.TORQUE_FILTER, more).controller
             lag, near = find(lagging, "torque_filters.0.time_constant", more, near)
-            lags = [changes.change_time(law, TORQUE_FILTER, lag)] if lag < _LONGEST_LAG else []
+            lags = [changes.change_time(law, suspects.TORQUE_FILTER, lag)] if lag < _LONGEST_LAG else []
             if lags and measured:  # in its log a late torque steps: no derivative shows its delay
                 each = sorted({law.delay + period * max(round(share * lag / period), 1) for share in _SHARES_OF_LAG})
                 delays = [changes.change_time(law, changes.DEAD_TIME, one) for one in each]
@@ -333,8 +347,8 @@ def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArra
     x = descend(other, start, _TOLERANCE).x
     left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)
-    if law.fault is REFERENCE_DELAY and record.injected is None:  # nothing else tells when the torque was
-        test = replace(test, alike=(LOG_DELAY,))
+    if law.fault is suspects.REFERENCE_DELAY and record.injected is None:  # nothing else tells when the torque was
+        test = replace(test, alike=(suspects.LOG_DELAY,))
     return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None
 
 
@@ -373,7 +387,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
     own, every = own[:, np.any(own, axis=0)], range(len(torques.measured))
     shapes = [replace(one, axis=k, column=torques.place(k, one.column)) for k in every for one in torques.shapes[k]]
     if len(every) > 1:
-        shapes += [FaultSignature(LOG_GAIN, torques.place(k, torques.predicted[k]), axis=k) for k in every]
+        shapes += [FaultSignature(suspects.LOG_GAIN, torques.place(k, torques.predicted[k]), axis=k) for k in every]
     shapes = [one for one in shapes if np.any(one.column)]
     where, basis = cells(*torques.places), orthonormal_basis(own, ROUNDING)
     before = rest = residual - basis @ (basis.T @ residual)
@@ -390,7 +404,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
     while shapes and np.any(residual):
         if residual.size <= _FEWEST * (own.shape[1] + len({(one.axis, one.fault) for one in shapes})):
             break
-        declared = {one.fault: 1.0 if one.fault == LOG_GAIN else 0.0 for one in shapes}
+        declared = {one.fault: 1.0 if one.fault == suspects.LOG_GAIN else 0.0 for one in shapes}
         tests = score(residual, own, shapes, declared, where, along_measured_motion=torques.along_measured_motion)
         first = first or tests
         # What one drive does otherwise moves the other joints: which of them do so, too, is seen once it is declared.
