@@ -126,6 +126,7 @@ def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> 
         assert values["motor_coulomb"] + values["load_coulomb"] == pytest.approx(whole, rel=0.05)
         assert values["stiffness"] == pytest.approx(axis.truth["stiffness"], rel=0.05)
     assert divide_coulomb_friction(problem, problem.vector(state | axis.truth), history) is None
+    assert spring_search._agree((1.0, 0.0), (1.0, 0.0), 1.0)  # ends without a mode, whose stiffness is at its bound 0
 
 
 @pytest.mark.slow

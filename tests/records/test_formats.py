@@ -43,7 +43,6 @@ def test_what_the_formats_own_library_writes_is_read_and_inspected(name: str, tm
     clock, moved, pulled = (channels[column] for column in LOGGED[name].names)
     assert moved.time == pulled.time == clock.name
     assert (moved.rows, moved.sample_time, moved.maximum) == (ROWS, pytest.approx(1e-3), pytest.approx(1.0, abs=1e-4))
-    assert "0.001 s" in str(inspection)
     assert ("rad" in str(inspection)) == (name in ("hdf5", "parquet", "tdms"))
     assert f'"{clock.name}"' in dumps(to_dict(inspection))
 
