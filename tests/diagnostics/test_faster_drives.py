@@ -38,6 +38,7 @@ def test_a_drive_that_runs_faster_than_its_log_is_named(times: int) -> None:
     assert first.test.fault is PERIOD
     assert first.test.size == pytest.approx(1.0, abs=0.2)
     assert first.value == pytest.approx(1e-3 / times)
+    assert str(check.reasons[0]).startswith(f"the controller runs faster than the log, at {times} kHz")
     assert f"declare its period, {1 / times:g} ms" in str(check.reasons[0])
     assert abs(corrected - RIGID["inertia"]) < abs(value - RIGID["inertia"])
     assert corrected == pytest.approx(RIGID["inertia"], rel=2e-3)

@@ -1,7 +1,6 @@
 """The flexible joint of the paper, on its digital twin."""
 
 from dataclasses import replace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -130,9 +129,9 @@ def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "longest"), [(5047, 12.0), (2055, 5.0), (2017, 5.0), (7, 10.0)])
+@pytest.mark.parametrize(("seed", "longest"), [(5047, 12.0), (2055, 5.0), (2017, 5.0)])
 def test_two_starts_in_the_same_wrong_valley_of_friction_are_led_out_of_it(seed: int, longest: float) -> None:
-    """Valleys of the Coulomb friction's division, far from the truth or next to it; the last is a sweep over the mode.
+    """Valleys of the Coulomb friction's division, far from the truth or next to it, and one at a bound of friction.
 
     Without the steps that lead out of them 62 % are on the motor, where 72 % are; the residual is 9 % larger; and the
     stiffness ends at 80 %, with the motor's viscous friction at 0.
@@ -174,14 +173,6 @@ def test_a_joint_that_is_too_light_for_its_loop_is_no_start() -> None:
     with pytest.raises(MethodError):
         rough_rigid_joint(task, history)
     assert history.counted.evaluations < 150
-
-
-def test_a_joint_without_a_rigid_start_begins_along_its_motion(monkeypatch: pytest.MonkeyPatch) -> None:
-    axis = twin(noise="white")
-    monkeypatch.setattr(spring_search, "rough_rigid_joint", Mock(side_effect=MethodError("none")))
-    monkeypatch.setattr(spring_search, "regular_start", Mock(side_effect=AssertionError))
-    stiffness = identify(torque_only(axis), axis.loop)["stiffness"]
-    assert stiffness.value == pytest.approx(axis.truth["stiffness"], abs=3 * stiffness.stderr)
 
 
 @pytest.mark.parametrize("method", [IDIM(), pytest.param(DIDIM(), marks=pytest.mark.slow)], ids=["idim", "ls"])

@@ -90,6 +90,7 @@ def test_sums_beside_a_refused_spring_hold_what_a_force_moves() -> None:
     assert not found.shown
     for name in SUMS:
         assert abs(found.rigid[name] - axis.truth[name]) <= 2 * found.std[name]
+    assert "force in the loop" in str(found.notes[0])
 
 
 def test_a_log_far_slower_than_the_loop_shows_no_force() -> None:

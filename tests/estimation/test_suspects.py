@@ -57,6 +57,7 @@ def test_a_clean_record_is_as_declared() -> None:
     made = problem(where, None, "disturbance", 1)
     check = search_faults(SolvedLoop(made, solved(made, where)))
     assert check.as_declared
+    assert str(check.reasons[0]).startswith("loop and log are as declared as far as this record shows (")
     alike = next(s for s in check.tests if s.name == "velocity_gain")
     assert [one.name for one in alike.alike] == ["gain"]  # in a cascade without integral part only their product acts
 

@@ -109,6 +109,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
     found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
     assert not found.shown
+    assert any("the load never moves" in check.words for check in found.checks)
 
 
 @pytest.mark.slow

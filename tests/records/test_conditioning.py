@@ -146,8 +146,9 @@ def test_the_remedies_that_a_broken_clock_names_work(
 
 def test_stamps_of_a_32_bit_float_offer_no_rate(saved: Saved) -> None:
     path = saved(".csv", t=(1.66e9 + TIME).astype(np.float32).astype(np.float64), q=MOTION)
-    with pytest.raises(ji.RecordError, match=r"sample_time(?! = 0)"):
+    with pytest.raises(ji.RecordError) as refused:
         ji.read(path, {"motor_position": "q"})
+    assert "sample_time" in str(refused.value) and "sample_time = 0" not in str(refused.value)
 
 
 def test_nanoseconds_beside_a_column_of_seconds_are_a_clock(saved: Saved) -> None:

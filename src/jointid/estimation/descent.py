@@ -119,8 +119,13 @@ def free_more(solved: Solved, names: tuple[str, ...], history: History) -> Solve
     """Continue least squares with more surroundings of the joint free, see `surrounding`.
 
     Raises:
-        MethodError: nothing around the joint has such a name.
+        MethodError: nothing around the joint has such a name, or one record does not determine it.
     """
+    if "drive_gain" in names:
+        raise MethodError(
+            "One record cannot tell the drive_gain from the scale of the joint; free log_gain or a gain of the law, or "
+            "identify from two records with a known mass between them."
+        )
     wider = solved.problem.freeing(*names)
     return history.solve(wider, wider.vector(solved.values))
 

@@ -2,18 +2,18 @@
 
 For a joint these are tried, in order:
 
-1. A rough rigid joint, identified below the resonance: its values are divided between the sides. If there is none, a
-   flexible joint along the motion that the controller, turned round, makes of its torque: no loop is simulated there.
-2. A grid of flexible joints, a simulation each, on a band as wide as the log. A mode that affected the tuning of the
-   loop lies not far from its crossover, so the grid of free-free frequencies is scaled by that.
+1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
+2. A grid of flexible joints, a simulation each, on a band as wide as the log. Before any identification the loop is
+   known: it crosses over where its torque per deviation equals the torque that the inertia needs to follow. A mode
+   that affected the tuning of the loop lies not far from there, so the grid of free-free
+   frequencies is scaled by the crossover. Half of the grid gives unstable loops, and the rest has local minima.
 3. Rough descents from the best few, at frequencies apart, until two end together; which explain little are given up.
 4. The best solution with its Coulomb friction divided differently. The motor's share decides which side stops
    first at every reversal, so the criterion has several minima over it, and several starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start found this solution, it is first repeated from nearby.
    The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
-7. If 10 % of the torque or more are not explained, or no second start led to the end, the same from joints of other
-   inertias, each with its own crossover: a mode inside the bandwidth makes the rigid joint another one.
+7. If 10 % or more is unexplained, or an end is alone or too fast, the same with other inertias and their crossovers.
 
 A robot of rigid joints determines sums: of both sides' friction, of rotor and link. These are split, weighted by their
 accuracy, and each spring is given a frequency of rotor against link. The rest is the search of
@@ -36,11 +36,11 @@ from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail
 from jointid.common.parallel import in_threads
-from jointid.common.parameters import ADDED, POSITION_UNIT, Bounds, Parameter, Quantity
+from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.common.transmission import SIDES
 from jointid.estimation.descent import NOTHING, ROUGH, ROUGHLY, History, Solved, is_significant, search_rigid_joint
 from jointid.estimation.methods import Task
-from jointid.estimation.parameters import INITIAL_STATE, LOG_DELAY, RobotParameters
+from jointid.estimation.parameters import INITIAL_STATE, RobotParameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, outcome_of, torque_problem
 from jointid.estimation.rigid_starts import (
     first_state,
@@ -51,9 +51,8 @@ from jointid.estimation.rigid_starts import (
 )
 from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import FlexibleJoint, acts_on_whole, split_by_mode, spring_at
-from jointid.records.record import Channel, Record, Timing
+from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import INITIAL
@@ -78,6 +77,7 @@ _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
 _FASTEST_LOOP = 0.25  # of the controller's frequency: at a lighter joint, which crosses over faster, the loop chatters
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
+_LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tried where no rigid joint is found
 
 # Times the crossover, the lowest and the highest mode of a grid, and the most between two neighbours.
 _MODES, _WIDE_MODES = (0.5, 12.0, 1.25), (0.2, 4.0, 1.4)
@@ -127,8 +127,8 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
         rigid = {p.name: rough.values[p.name] for p in rough.problem.joint.parameters}
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
         require_work(problem)
-        history.progress(Detail(error, "starting from a joint along the motion that its torque tells"))
-        rough, rigid = None, _follow(problem, task, history)
+        history.progress(Detail(error, "starting from a joint that follows its reference"))
+        rough, rigid = None, _follow_reference(task)
     motion = _find_motion(problem, rough)
 
     def search(widely: bool) -> Solved:
@@ -181,7 +181,7 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
 
     Its cut-off is 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
-    rough, edge = replace(history, tolerance=ROUGHLY), rigid_cutoff(task.record)
+    found, rough, edge = None, replace(history, tolerance=ROUGHLY), rigid_cutoff(task.record)
 
     def search(edge: float) -> Solved:
         history.progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
@@ -191,7 +191,12 @@ def rough_rigid_joint(task: Task, history: History) -> Solved:
             raise MethodError(f"Below {edge:.3g} Hz no rigid joint that its loop can hold explains the torque.")
         return end
 
-    found = search(edge)
+    for _ in range(_LOWERED):  # a mode below the cut-off may make the joint look like none at all
+        with contextlib.suppress(MethodError):
+            found = search(edge)
+            break
+        edge /= _LOWER
+    found = found or search(edge)
     slow = rigid_cutoff(task.record, _RIGID_BELOW * crossover(found.problem.axis.law, found.values["inertia"]))
     return search(slow) if slow < 0.7 * edge else found
 
@@ -214,20 +219,10 @@ def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
     return problem.replace_parameters({"inertia": replace(joint.parameters[0], lower=least)})
 
 
-def _follow(problem: ClosedLoopProblem, task: Task, history: History) -> dict[str, float]:
-    """Values of a joint along the motion that its torque tells, or else of one that follows its reference."""
-    from jointid.estimation.methods.drive_side import motion_problem, search_along_motion
-
-    joint, delay, unit = problem.joint, LOG_DELAY.fix(-problem.axis.law.delay), POSITION_UNIT[problem.joint.kind]
-    try:
-        position = Channel(reconstructed_position(problem), unit, problem.sample_time, Timing.SAMPLED)
-        records = [replace(task.record, motor_position=position)]
-        along = motion_problem(records, DriveSide(joint), task.filtering, joint.parameters, delay)
-        found = search_along_motion(records, along, history).values
-    except MethodError:  # a controller that cannot be turned round tells no motion
-        rigid = _rigid_problem(task, rigid_cutoff(task.record))
-        return regular_start(rigid.keeping({p.name: 0.0 for p in rigid.joint.parameters if p.name != "inertia"}))
-    return found | {"inertia": found["motor_inertia"] + found["load_inertia"]}
+def _follow_reference(task: Task) -> dict[str, float]:
+    """Values of a rigid joint without friction that follows its reference."""
+    problem = _rigid_problem(task, rigid_cutoff(task.record))
+    return regular_start(problem.keeping({p.name: 0.0 for p in problem.joint.parameters if p.name != "inertia"}))
 
 
 def crossover(law: SampledLaw, inertia: float) -> float:

@@ -132,7 +132,7 @@ class DriveSideFit(Method):
         problem = motion_problem(records, setup, task.filtering, task.parameters, delay)
         motions: list[MeasuredMotion] = [_keep_reversals(log).motion for log in problem.logs]
         if task.joint.springs:
-            found = history.solve(problem, search_along_motion(records, problem, history).x).solution
+            found = _search_spring(records, problem, history).solution
         else:
             try:
                 found = _fit_rigid(problem, history).solution
@@ -171,13 +171,13 @@ def _keep_reversals(log: Any) -> Any:
     return log.with_rows(moving_weights((log.motion.v * log.motion.counts)[:, 0])[:, np.newaxis])
 
 
-def search_along_motion(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
+def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
     """Search from a rigid joint below the resonance; return the end."""
     joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.parameters[-1]
     rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     rows = {values["inertia"]: row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))}
-    return search_spring(problem, values, rows, problem.filtering, history)
+    return history.solve(problem, search_spring(problem, values, rows, problem.filtering, history).x)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:
