@@ -172,7 +172,7 @@ def test_a_joint_that_is_too_light_for_its_loop_is_no_start() -> None:
     task = Task(drive.record, joint, drive.loop, joint.parameters, Filtering(), ignore_progress)
     with pytest.raises(MethodError):
         rough_rigid_joint(task, history)
-    assert history.counted.evaluations < 150
+    assert history.counted.evaluations < 200  # 118 to 156, as the processor rounds; 327 without a least inertia
 
 
 @pytest.mark.parametrize("method", [IDIM(), pytest.param(DIDIM(), marks=pytest.mark.slow)], ids=["idim", "ls"])
