@@ -39,7 +39,7 @@ class Transmission:
         >>> law = ji.controller.Cascade(position_gain=25.0, velocity_gain=0.02, ratio=screw.torque("motor"))
         >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic", transmission=screw), law)
         >>> print(screw)
-        10 mm per turn, efficiency taken as 1: no record checks these; values are on the load side
+        10 mm per turn, efficiency taken as 1; no record checks either; values are on the load side
     """
 
     in_json = "motor_per_load motor"
@@ -102,4 +102,4 @@ class Transmission:
         """Return its description, in a sentence."""
         size = f"{self.ratio:g}:1" if self.ratio is not None else f"{1e3 * (self.lead or 0.0):g} mm per turn"
         turned = ", turned round" if self.sign < 0 else ""
-        return f"{size}{turned}, efficiency taken as 1: no record checks these; values are on the {self.side} side"
+        return f"{size}{turned}, efficiency taken as 1; no record checks either; values are on the {self.side} side"

@@ -13,7 +13,7 @@ For a joint these are tried, in order:
 5. A descent to the full tolerance. Where no second start found this solution, it is first repeated from nearby.
    The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
-7. If 10 % or more is unexplained, or an end is alone or too fast, the same with other inertias and their crossovers.
+7. If 10 % is unexplained, one start alone led to the end, or its mode is too fast: the same with other inertias.
 
 A robot of rigid joints determines sums: of both sides' friction, of rotor and link. These are split, weighted by their
 accuracy, and each spring is given a frequency of rotor against link. The rest is the search of
