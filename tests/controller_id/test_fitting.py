@@ -12,13 +12,7 @@ from jointid.common.arrays import FloatArray
 from jointid.controller_id.fitting import Fitter, order_rates
 from jointid.controller_id.loop_record import LoopRecord, prepare_loop_record
 from jointid.controller_id.noise import band_means, band_power, band_widths, position_error, position_response
-from jointid.controller_id.structures import (
-    Structure,
-    canonical,
-    controller,
-    list_frames,
-    list_laws,
-)
+from jointid.controller_id.structures import Structure, canonical, controller, list_frames, list_laws
 from jointid.models.controllers import PD, POSITION, Cascade, FirstOrder, run
 from jointid.models.controllers.sampled import INPUTS
 from jointid.models.joints import ClosedLoop, RigidJoint

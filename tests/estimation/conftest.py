@@ -11,11 +11,7 @@ from jointid.records.record import InjectionPoint, Record
 
 GAIN = 35.15065188
 CONTROLLER = Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=GAIN, limit=10.0)
-COLUMNS = {
-    "torque": Column("vir", unit="N", gain=GAIN),
-    "reference": "qg",
-    "motor_position": "qm",
-}
+COLUMNS = {"torque": Column("vir", unit="N", gain=GAIN), "reference": "qg", "motor_position": "qm"}
 
 
 @pytest.fixture(scope="session")

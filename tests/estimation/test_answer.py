@@ -51,6 +51,10 @@ def with_row(estimate: Estimate, name: str, **changes: object) -> Estimate:
     return replace(estimate, rows=tuple(rows))
 
 
+def test_a_stiff_screw_has_its_interval_in_the_unit_of_catalogues_too() -> None:
+    assert "(40.5 ± 4.4 N/µm)" in str(with_row(flexible(4.05e7, 2.2e6), "stiffness", unit="N/m").answer)
+
+
 UNEXPLAINED = {"filtered_error": 0.4, "converged": False}
 BOUND = with_row(flexible(), "load_inertia", stderr=None, free=False, at_bound=0.0)
 

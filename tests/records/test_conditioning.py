@@ -60,7 +60,7 @@ def test_a_reference_is_unwrapped_where_its_motor_says_so(saved: Saved) -> None:
     def logged(remarks: int, **values: np.ndarray) -> list[np.ndarray]:
         path = saved(".csv", t=TIME, **values)
         record = ji.read(path, {name: column for name, column in columns.items() if column in values})
-        assert len(record.remarks) == remarks
+        assert len(record.remarks) == 1 + remarks  # no unit is given
         return [channel.values for _, channel in record.items()]
 
     reference, _ = logged(1, r=saw, q=motor)
@@ -82,7 +82,7 @@ def test_whole_numbers_that_lost_their_sign_have_it_again(saved: Saved, size: in
         record = ji.read(path, {"torque": column})
         np.testing.assert_array_equal(record.torque.values, torque)
     for column in ("up", "half"):
-        assert ji.read(path, {"torque": column}).remarks == ()
+        assert len(ji.read(path, {"torque": column}).remarks) == 1
 
 
 @pytest.mark.parametrize(("mean", "lost"), [(0.0, True), (1.3, False), (0.31, True), (3.0, False)])
@@ -108,7 +108,7 @@ def test_whole_rows_that_are_repeated_are_left_out(saved: Saved) -> None:
     path = saved(".csv", t=TIME[rows], q=MOTION[rows])
     record = ji.read(path, {"motor_position": "q"})
     np.testing.assert_allclose(record.motor_position.values, MOTION, rtol=1e-6)
-    (said,) = record.remarks
+    _, said = record.remarks
     assert said in find_record_warnings(record, ("motor_position",))
     moved = MOTION[rows] + np.arange(rows.size)  # the stamps are repeated, and not the rows
     saved(".csv", t=TIME[rows], q=moved)

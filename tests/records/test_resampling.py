@@ -88,7 +88,7 @@ def test_a_position_tells_whether_its_samples_follow_their_stamps(saved: Saved, 
     for taken in (stamps, uniform):
         path = saved(t=stamps, q=np.sin(9 * taken) + added, i=np.cos(9 * taken))
         record = read(path, None, torque="i", **{channel: "q"})
-        assert len(record.remarks) == 1
+        assert len(record.remarks) == 2  # one on the unit, which is not given
         assert (record.resampled is not None) is (taken is stamps)
         found = values(record, channel)
         begin, every = (record.begin + stamps[0], record.resampled.sample_time) if record.resampled else (0.0, T)
@@ -150,7 +150,7 @@ def test_clocks_that_begin_apart_are_resampled_to_what_both_cover(saved: Saved) 
     columns = {"torque": ji.Column("i", time="ta"), "motor_position": ji.Column("q", time="tb")}
     unasked, record = (read(path, how, **columns) for how in (None, Resampling(T, "linear")))
     np.testing.assert_array_equal(values(unasked), values(record))
-    assert len(unasked.remarks) == 1
+    assert len(unasked.remarks) == 2
     assert record.begin == pytest.approx(0.013)
     np.testing.assert_allclose(values(record)[0], 0.013)
     assert len(values(record)) == 287  # to the end of the one that ends first: nothing is extrapolated
@@ -179,4 +179,4 @@ def test_a_channel_that_is_empty_between_has_its_own_rate(tmp_path: Path, every:
     assert record.begin == pytest.approx(phase * 1e-3, abs=1e-9)
     for channel in (record.reference, record.motor_position):
         np.testing.assert_allclose(channel.values, np.sin(5 * (record.begin + channel.time)), atol=1e-7)
-    assert len(record.remarks) == (not stated)
+    assert len(record.remarks) == 1 + (not stated)

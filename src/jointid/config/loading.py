@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from jointid.config.file import File
 from jointid.config.tables import read_tables
 from jointid.config.toml import Tables, edit, move_paths, parse_change, parse_toml, relocate_path, replace_table
 from jointid.models.controllers import FILTERS, LAWS, Controller, numbers_of, unit_of_number
-from jointid.records.inspection import InspectedChannel, Inspection, LoggedAxis
+from jointid.records.inspection import Inspection
 
 _WORDS: Mapping[type, dict[str, str]] = {
     **{made: {"kind": kind} for kind, made in FILTERS.items()},
@@ -36,12 +36,19 @@ _OF_AXIS = re.compile(r"^(\s*joint\.|(?=\s*method[.=]))")
 """Start of a change that applies to one joint taken from a robot file."""
 
 _ASKED = """
-# The controller's numbers are not in the log: remove the marks, and give law, gains and units of the drive.
+[joint]
+kind = "{kind}"
+# Not in the log: remove the marks of what the axis has, and replace the question marks by its numbers.
+# model = "flexible"                  # two inertias joined by a spring; without it "rigid", one inertia
+# torque_constant = "? N m/A"         # of the motor; without it a torque in A gives all values per A
+# [transmission]                      # then a channel of the load, not the motor, has side = "load"
+# {through}
 # [controller]
-# law = "{}"
-# position_gain = "? 1/s"            # of a pd "? N m/rad"
-# velocity_gain = "? N m s/rad"      # of a pd derivative_gain
-# integral_time = "? ms"             # of a pd none
+# law = "{law}"
+# position_gain = "? 1/s"             # of a pd "? N m/rad"
+# velocity_gain = "? N m s/rad"       # or "? A s/rad"; of a pd derivative_gain
+# integral_time = "? ms"              # of a pd none
+# velocity_filter = {{ kind = "first_order", time_constant = "? ms" }}
 """
 
 
@@ -197,35 +204,29 @@ def describe_log(found: Inspection, file: str, axis: str | None, proposed: Mappi
     """
     log, said = found.recognised, {units.normalise_unit(one.unit or "") for one in found.channels}
     slides = not said.isdisjoint(units.units_of("length")) and said.isdisjoint(units.units_of("angle"))
-    joint = {"kind": "prismatic" if slides else "revolute"}
     if log is None:
         names = ", ".join(show(channel.name) for channel in found.channels)
-        text = tomlkit.dumps({"joint": joint, "record": {"file": file}}) + "\n[record.channels]\n"
+        about, law = f"# No profile of a drive knows these columns: {names}.\n\n", "cascade"
+        text = tomlkit.dumps({"record": {"file": file}}) + "\n[record.channels]\n"
         for name, column in proposed.items():
             text += f"{'' if column else '# '}{name} = {{ column = {tomlkit.item(column or '?').as_string()} }}\n"
-        return f"# No profile of a drive knows these columns: {names}.\n\n{text}{_ASKED.format('cascade')}"
-    axes = {axis.name: axis for axis in log.axes}
-    axes |= {str(one.place["axis"]): one for one in log.axes if "axis" in one.place}
-    if axis is None and len(log.axes) == 1:
-        axis = log.axes[0].name
-    if axis not in axes:
-        got = "" if axis is None else f"; got {axis}"
-        raise RecordError(f"{found.file} has the axes {', '.join(map(show, axes))}{got}: name one of them (axis).")
-    chosen, columns = axes[axis], {channel.name: channel for channel in found.channels}
-    alone = {} if "torque" in chosen.channels else {"torque": "from_controller"}
-    tables = {
-        "joint": joint,
-        "record": {"file": file, **alone, **_clock(columns, chosen)},
-        "drive": {"profile": log.profile.name, **{key: value for key, value in chosen.place.items() if key != "index"}},
-    }
-    about = "".join(f"# {text}\n" for text in (log.sentence, *log.profile.assumed))
-    return f"{about}\n{tomlkit.dumps(tables)}{_ASKED.format(log.profile.law or 'cascade')}"
+    else:
+        named = [one for one in log.axes if axis in (None, one.name, str(one.place.get("axis")))]
+        if len(named) != 1:
+            raise RecordError(f"{found.file} has the axes {', '.join(show(one.name) for one in log.axes)}: name one.")
+        channels, place = named[0].channels, {key: one for key, one in named[0].place.items() if key != "index"}
+        record = {"file": file, **_clock(found, {*channels.values()})}
+        record |= {} if "torque" in channels else {"torque": "from_controller"}
+        about = "".join(f"# {line}\n" for line in (log.sentence, *log.profile.assumed)) + "\n"
+        law = log.profile.law or "cascade"
+        text = tomlkit.dumps({"record": record, "drive": {"profile": log.profile.name, **place}})
+    kind, through = ("prismatic", 'lead = "? mm"') if slides else ("revolute", "ratio = ?")
+    return f"{about}{text}{_ASKED.format(kind=kind, through=through, law=law)}"
 
 
-def _clock(columns: Mapping[str, InspectedChannel], axis: LoggedAxis) -> dict[str, Any]:
-    """Return the keys of [record] for several or restarting clocks."""
-    every = [columns[name] for name in axis.channels.values()]
-    times = {channel.time: channel.sample_time for channel in every if channel.time and channel.sample_time}
+def _clock(found: Inspection, read: Collection[str]) -> dict[str, Any]:
+    """Return the keys of [record] for several or restarting clocks of the columns to read."""
+    times = {one.time: one.sample_time for one in found.channels if one.name in read and one.time and one.sample_time}
     if len(times) > 1:
         return {"resample": {"sample_time": float(f"{min(times.values()):.3g}"), "method": "linear"}}
-    return {"part": 0} if any(columns[name].stalls for name in times) else {}
+    return {"part": 0} if any(one.stalls for one in found.channels if one.name in times) else {}

@@ -211,22 +211,17 @@ def _forget_impossible(root: ET.Element) -> Iterator[str]:
             if not stated or any(value.strip("+-0.eE ") for value in stated):
                 yield f"link {one.get('name')} has a mass or an inertia as no body can; both are taken as unknown"
             one.remove(inertial)
-    for joint in root.iter("joint"):
+    links = {one.get("name") for one in root.iter("link")}
+    for joint in tuple(root.iter("joint")):
         for dynamics in joint.iter("dynamics"):
             for name in [name for name, value in dynamics.items() if value.strip().startswith("-")]:
                 del dynamics.attrib[name]
                 yield f"joint {joint.get('name')} has a negative {name}, which is taken as unknown"
-    links = {one.get("name") for one in root.iter("link")}
-    ends = [
-        (joint, end.get("link"))
-        for joint in root.iter("joint")
-        for end in (*joint.iter("parent"), *joint.iter("child"))
-    ]
-    for joint, link in ends:
-        if link == "world" and link not in links:
-            links.add(ET.SubElement(root, "link", name=link).get("name"))
-        elif link not in links:
-            raise MethodError(f"joint {joint.get('name')} names the link {link}, which it has not")
+        for link in (end.get("link") for end in (*joint.iter("parent"), *joint.iter("child"))):
+            if link == "world" and link not in links:
+                links.add(ET.SubElement(root, "link", name=link).get("name"))
+            elif link not in links:
+                raise MethodError(f"joint {joint.get('name')} names the link {link}, which it has not")
 
 
 def _is_possible(inertial: ET.Element) -> bool:

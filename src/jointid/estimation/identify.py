@@ -179,13 +179,12 @@ def _fit_robot(
     if _simulates_loop(method):
         logs = tuple(torques_of(log, model.loops, method.outputs) for log in logs)
     found, read = method.identify_robot(model, logs, filtering, known, progress), [one for log in logs for one in log]
-    warnings = (
-        f"{name}: {said}"
-        for log in logs
-        for name, one in zip(robot.names, log, strict=False)
-        for said in find_record_warnings(one, one.channels)
-    )
-    return state_scale(state_timing(found, read), read).warn(*dict.fromkeys(warnings))
+    notes = dict[str, dict[str, None]]()
+    for name, one in (pair for log in logs for pair in zip(robot.names, log, strict=False)):
+        for note in find_record_warnings(one, one.channels):
+            notes.setdefault(note, {})[name] = None
+    warnings = (f"{', '.join(names)}: {note}" for note, names in notes.items())
+    return state_scale(state_timing(found, read), read).warn(*warnings)
 
 
 def identify_record(

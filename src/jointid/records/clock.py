@@ -139,7 +139,7 @@ def seconds_of(table: Table, column: str, time_unit: str | None) -> float:
     # "time [hh:mm:ss]" was counted in seconds.
     unit = time_unit or next((one for one in (named, stated) if one in known), named or stated or "s")
     if unit not in known or (named is not None and time_unit not in (None, named)):
-        raise RecordError(unit_fault(f'time (column "{column}")', unit, known))
+        raise RecordError(f'time (column "{column}") {unit_fault(unit, known)}.')
     return units.unit(unit).factor
 
 

@@ -115,9 +115,9 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     return (said or None) if said in known or column.rstrip().endswith("]") else None
 
 
-def unit_fault(what: str, name: str, known: tuple[str, ...]) -> str:
-    """Describe an unknown unit."""
-    return f'{what} is in "{name}"; expected one of {", ".join(known)}: give its unit, and the gain to it.'
+def unit_fault(name: str, known: tuple[str, ...]) -> str:
+    """Describe an unknown unit, as a predicate."""
+    return f'is in "{name}"; expected one of {", ".join(known)}: give its unit, and the gain to it'
 
 
 def finite_faults(name: str, values: FloatArray) -> list[str]:

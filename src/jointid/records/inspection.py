@@ -188,7 +188,9 @@ class Inspection(Documented):
         more = len(self.channels) - len(rows)
         said = [f"{pluralise(more, 'more channel')}, which --json lists"] if more else []
         said += [f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items()]
-        said += [] if self.recognised is None else [show(self.recognised.sentence)]
+        bare = [show(one.name) for one in self.channels if not one.unit and one.time != one.name]
+        asked = f"Which unit has {short(', '.join(bare), 2 * _LONGEST)}? Without one a channel is read in SI units."
+        said += [show(self.recognised.sentence)] if self.recognised else [asked] * bool(bare)
         title = f"{show(self.file)}: {self.format}, {len(self.channels)} channels"
         blocks: list[Block] = [Table(header, rows, words=(0, 2))] if rows else []
         if not any(channel.time == channel.name for channel in self.channels):

@@ -17,19 +17,11 @@ from numpy.typing import NDArray
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import pluralise
+from jointid.common.text import join, pluralise
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
 from jointid.records.clock import Clock, Cut, find_stamps, fit_clock, is_same_rate
-from jointid.records.columns import (
-    POSITIONS,
-    Column,
-    as_columns,
-    find_wrap,
-    finite_faults,
-    restore_sign,
-    unwrap,
-)
+from jointid.records.columns import POSITIONS, Column, as_columns, find_wrap, finite_faults, restore_sign, unwrap
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, read_table
 from jointid.records.record import (
@@ -135,7 +127,7 @@ class RecordReader:
         # A sample time given alone, or the named time column of a file with one clock, overrides the file's clocks.
         alone = period is not None if time is None else self.time is not None and len(set(table.clocks.values())) == 1
         clocks = {} if alone else dict(table.clocks)
-        columns = self._select(table, wanted)
+        columns, bare = self._select(table, wanted)
         signals = self._log(table, columns, time, clocks)
         channels, begin, done, said = bring_together(signals, self.resample)
         # The file begins with the first row of its clocks, including unused ones.
@@ -156,15 +148,15 @@ class RecordReader:
             left_out=self.cut.leave_out,
             zero=min(origins, default=first),
             resampled=done,
-            remarks=tuple(dict.fromkeys((*(r for one in signals.values() for r in one.remarks), *said))),
+            remarks=tuple(dict.fromkeys((*bare, *(r for one in signals.values() for r in one.remarks), *said))),
         )
         if faults := scale_faults(record):
             raise RecordError(faults)
         return record
 
-    def _select(self, table: Table, wanted: Mapping[str, Column]) -> dict[str, Column]:
-        """Return the columns: declared, by profile, or in the file's units."""
-        profile, faults = self.drive.traces, list[str]()
+    def _select(self, table: Table, wanted: Mapping[str, Column]) -> tuple[dict[str, Column], list[str]]:
+        """Return the columns: declared, by profile, or in the file's units; and a remark if some have no unit."""
+        profile, faults, bare = self.drive.traces, list[str](), list[str]()
         frame = Frame(self.drive, self.kind, self.transmission)
         found = {channel: column for channel, column in wanted.items() if column.column}
         if profile is not None:
@@ -182,17 +174,19 @@ class RecordReader:
             declared = replace(wanted.get(channel, column), column=column.column)
             unit = units.normalise_unit(table.units.get(column.column, ""))
             known = known_units(channel, frame.kind_of(channel, column))
-            if unit and declared.gain == 1 and declared.stated_unit(known) is None:
-                selected[channel] = replace(column, unit=unit)
+            if declared.gain == 1 and declared.stated_unit(known) is None:
+                selected[channel] = replace(column, unit=unit or column.unit)
             if self.transmission is None and column.side is not None:
                 faults.append(f"{channel} has a side, but no transmission is given; give it, or leave side out.")
             try:
-                frame.unit_of(channel, selected)
+                read = frame.unit_of(channel, selected).si
+                if declared.gain == 1 and selected[channel].stated_unit(known) is None:
+                    bare.append(f"{channel} is read in {read}")
             except units.UnitError as error:
                 faults.append(f'{channel} (column "{column.column}") {error}.')
         if faults:
             raise RecordError(faults)
-        return selected
+        return selected, [f"no unit is given: {join(bare)}"] if bare else []
 
     def _log(
         self, table: Table, columns: Mapping[str, Column], time: str | None, clocks: Mapping[str, str]

@@ -3,6 +3,7 @@
 import errno
 import itertools
 import os
+import re
 import stat
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ import jointid as ji
 from jointid.apps.cli.console import spare
 from jointid.common.errors import RecordError
 from jointid.common.files import beside, write_folder, write_whole
+from jointid.config import loads
 from jointid.records.formats import Table, write_table
 from tests.joint_files import EXAMPLE as EMPS
 from tests.losses.runs import contents
@@ -87,12 +89,19 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
         write_whole(tmp_path, b"a folder")
 
 
-@pytest.mark.parametrize(("unit", "read"), [("°", "rad"), ("mm", "m")])
-def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, unit: str, read: str) -> None:
-    (place / "own.csv").write_text(f"Zeit [ms];Strom [A];Lage-Soll [{unit}]\n0;1,5;0,5\n1;2,5;1,0\n", encoding="cp1252")
+@pytest.mark.parametrize(("unit", "read", "torque"), [("°", "rad", "Strom [A]"), ("mm", "m", "Moment [Nm]")])
+def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, unit: str, read: str, torque: str) -> None:
+    (place / "own.csv").write_text(f"Zeit [ms];{torque};Lage-Soll [{unit}]\n0;1,5;0,5\n1;2,5;1,0\n", encoding="cp1252")
     assert run("inspect", "own.csv", "--write", "own.toml") == 0
-    record = ji.load("own.toml", ["joint.torque_constant=1.0"]).record()
-    assert record.torque.values.tolist() == [1.5, 2.5] and record.reference.unit == read
+    said = Path("own.toml").read_text("utf-8")
+    if unit == "mm":
+        with pytest.raises(ji.RecordError, match="lead"):
+            loads(said).record()
+    file = loads(re.sub(r"(?m)^# (?=\w+ =|\[)", "", said).replace("?", "1"))  # what it asks, answered
+    record, joint = file.record(), file.joint
+    through = joint.transmission.torque("motor")
+    assert (record.torque.values / through).tolist() == pytest.approx([1.5, 2.5]) and record.reference.unit == read
+    assert joint.model == "flexible" and file.controller.velocity_filter is not None and not record.remarks
 
 
 def test_half_a_result_is_never_seen(tmp_path: Path) -> None:

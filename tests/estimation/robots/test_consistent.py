@@ -8,12 +8,7 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.bodies import consistent_robot, mass_matrix_at
-from jointid.models.robots.inertial import (
-    from_log_cholesky,
-    is_physical,
-    log_cholesky,
-    pseudo_inertia,
-)
+from jointid.models.robots.inertial import from_log_cholesky, is_physical, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
 from jointid.output.export import export
 from jointid.records.signals.filtering import Filtering

@@ -17,7 +17,7 @@ import numpy as np
 
 from jointid.common.document import Documented
 from jointid.common.messages import Message
-from jointid.common.text import in_words, join, number
+from jointid.common.text import in_words, interval, join, number
 from jointid.uncertainty.covariance import INTERVAL
 from jointid.uncertainty.model_tests import Whiteness
 from jointid.uncertainty.position_dependent_error import Repeatable
@@ -334,8 +334,9 @@ def answer_of(estimate: Estimate) -> Answer:
 def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
     """Value with interval, unit and mode; for a refused one, its bound."""
     mode, least, code = estimate.frequencies.get("free_free"), None, "value"
-    micro = 1e-6 * (asked.value or 0.0) if asked.unit == "N/m" else 0.0
-    words = f"{in_words(asked.name).capitalize()} {asked} {asked.unit}{f' ({number(micro, 3)} N/µm)' * (micro >= 1)}"
+    words = f"{in_words(asked.name).capitalize()} {asked} {asked.unit}"
+    if asked.unit == "N/m" and asked.value and asked.deviation and asked.value >= 1e6:
+        words += f" ({interval(1e-6 * asked.value, 1e-6 * INTERVAL * asked.deviation)} N/µm)"
     if asked.value is None:
         stated, code = told_bounds(estimate), "not_determined"
         words = f"{in_words(asked.name).capitalize()} not determined by this record"

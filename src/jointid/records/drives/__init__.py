@@ -325,9 +325,13 @@ class Frame:
         of_torque = columns["torque"].stated_unit(known) if channel == "injected" and "torque" in columns else None
         usual = of_torque if of_torque in known else known[0]  # on another side it may be no unit here
         stated = columns[channel].stated_unit(known) or str(usual)
-        if stated not in known:
-            raise units.UnitError(unit_fault("", stated, known).strip().removesuffix("."))
         of_load, ratio = channel == "load_position", 1.0 if self.transmission is None else self.transmission.ratio
+        if stated not in known:
+            said = unit_fault(stated, known)
+            if ratio is not None and any(stated in known_units(channel, other) for other in units.POSITION_UNITS):
+                said = f'is in "{stated}", and the joint is {kind}: correct its kind; a load that slides by a motor '
+                said += 'that turns is "prismatic" with the lead of its transmission, as lead = "10 mm"'
+            raise units.UnitError(said)
         try:
             return self.drive.resolve_unit(units.unit(stated), kind, of_load=of_load, geared=ratio not in (None, 1.0))
         except units.UnitError as error:
