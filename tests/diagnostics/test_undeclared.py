@@ -46,7 +46,7 @@ def widened(record, law=LAW):
     solved = found.problem, found.x
     wider = [*widen_for_undeclared(found, SimpleNamespace(torques=torques_of_loop(*solved), axes=[UNSPOILT]))]
     rows = {row.name: row for row in found.rows if row.name in TRUE}
-    moved = {name: max((by[name] for by, _ in wider), default=0.0) for name in rows}
+    moved = {name: max((abs(by[name]) for by, _ in wider), default=0.0) for name in rows}
     return {
         name: (abs(row.value - TRUE[name]), row.stderr, np.hypot(row.stderr, moved[name])) for name, row in rows.items()
     }, wider

@@ -11,10 +11,12 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.text import interval
 from jointid.estimation.result import estimate as result
 from jointid.estimation.result.estimate import Data, Estimate, EstimatedParameter, Fit, Settings
+from jointid.estimation.result.verdict import assemble
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers
 from jointid.records.signals.filtering import Filtering
+from jointid.uncertainty.identifiability import Combination, Identifiability, Known
 from tests.estimates import amended
 from tests.estimation.conftest import CONTROLLER
 
@@ -38,30 +40,19 @@ ESTIMATE = Estimate(
     ),
     correlation=np.zeros((0, 0)),
     fit=Fit(
-        measured=TORQUE,
-        predicted=0.96 * TORQUE,
+        TORQUE,
+        0.96 * TORQUE,
         relative_error=0.04,
         filtered_error=0.0397,
         rows=31,
-        conditioning=None,
         simulations=14,
-        stop="converged: nothing changes any more",
+        stop="",
         converged=True,
     ),
     warnings=("something to know",),
-    data=Data(
-        channels=("torque", "reference"),
-        record="run 1",
-        sample_time=1e-3,
-        torque_unit="N",
-        fingerprints=(result.fingerprint(TORQUE),),
-    ),
+    data=Data(channels=("torque", "reference"), record="run 1", sample_time=1e-3, torque_unit="N", fingerprints=("",)),
     settings=Settings(
-        method="didim",
-        variant="DIDIM in residual form from an inversion start",
-        system=LOOP.joint,
-        loop=LOOP,
-        filtering=Filtering().resolve(1e-3),
+        method="didim", variant="DIDIM", system=LOOP.joint, loop=LOOP, filtering=Filtering().resolve(1e-3)
     ),
 )
 
@@ -78,6 +69,14 @@ def test_an_interval_has_what_a_lack_of_fit_adds() -> None:
     assert ESTIMATE["viscous"].interval == pytest.approx((207.534 - 2 * 1.25, 207.534 + 2 * 1.25))
     wide = replace(ESTIMATE["viscous"], lack_of_fit=1.25)
     assert wide.interval == pytest.approx((207.534 - 2 * 1.25 * 2**0.5, 207.534 + 2 * 1.25 * 2**0.5))
+
+
+def test_a_sum_is_moved_by_what_moves_its_parts_together() -> None:
+    total = Known(Combination("total", "", "", {"inertia": 1.0, "viscous": 1.0}), 300.0, 1.0)
+    moved = ({"inertia": 3.0, "viscous": -4.0}, ""), ({"viscous": 0.5}, "")
+    found = assemble(replace(ESTIMATE, known=Identifiability((total,), ())), widenings=moved)
+    assert (found["inertia"].lack_of_fit, found["viscous"].lack_of_fit) == (3.0, 4.0)
+    assert found.known is not None and found.known.physical[0].lack_of_fit == 1.0
 
 
 def test_residual_and_frequencies() -> None:

@@ -324,9 +324,9 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     changes = _respond(log, run, tried)
     sizes = in_threads(lambda one: _largest_size(torques, *one), list(zip(tried, changes, strict=True)))
     for element, change, largest in zip(tried, changes, sizes, strict=True):
-        by = 0.5 * np.abs(scales * (solve @ torques.stack(change))) * largest / element.half
+        by = 0.5 * scales * (solve @ torques.stack(change)) * largest / element.half
         moved = {name: float(one) for name, one in zip(names, by, strict=True) if name in rows}
-        if any(one > MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
+        if any(abs(one) > MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
             what = f"an undeclared {element.fault.title} of up to {number(1e3 * largest, 2)} ms"
             yield _widening(what, moved, rows, '. Declare it, or set undeclared = "none" in [controller]')
 
@@ -361,26 +361,26 @@ def widen_for_faults(axis: AxisDiagnosis, rows: Mapping[str, EstimatedParameter]
     joint has the same effect. Another law widens it, and so does a number beside a residual that repeats.
     """
     for finding in axis.faults.findings:
-        moved = {name: abs(change.by) for name, change in finding.changes.items()}
+        moved = {name: change.by for name, change in finding.changes.items()}
         if not (finding.test.fault.mechanical or finding.law is not None or axis.repeats):
             moved = {
                 name: 0.5 * by
                 for name, by in moved.items()
-                if abs(finding.changes[name].sigmas) > INTERVAL and by < SLIGHT * abs(rows[name].value or 0.0)
+                if abs(finding.changes[name].sigmas) > INTERVAL and abs(by) < SLIGHT * abs(rows[name].value or 0.0)
             }
         yield moved, ""
     for suspect in axis.faults.suspected:
         what = f"what looks like a {suspect.test.fault.title} (p = {number(suspect.test.p_value, 2)})"
         if suspect.law is not None:
             what = f"that {suspect.law.words}, which this record does not exclude,"
-        yield _widening(what, {name: abs(one.by) for name, one in suspect.changes.items()}, rows, "")
+        yield _widening(what, {name: one.by for name, one in suspect.changes.items()}, rows, "")
 
 
 def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedParameter], remedy: str) -> Widening:
     """Parameter shifts as one deviation each, and a sentence on large ones."""
     off = [
-        f"{in_words(name)} by {number(2 * by[name], 2)} {row.unit}".rstrip()
+        f"{in_words(name)} by {number(2 * abs(by[name]), 2)} {row.unit}".rstrip()
         for name, row in rows.items()
-        if by.get(name, 0.0) > TOLD * (row.stderr or 0.0)
+        if abs(by.get(name, 0.0)) > TOLD * (row.stderr or 0.0)
     ]
     return dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else ""

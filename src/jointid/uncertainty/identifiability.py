@@ -18,7 +18,7 @@ from jointid.common.arrays import FloatArray, column_norms, triangle
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Parameter, Quantity
-from jointid.common.text import in_words, interval, join, number
+from jointid.common.text import in_words, interval, join
 from jointid.uncertainty.covariance import INTERVAL, ROUNDING, Covariance
 
 INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
@@ -77,11 +77,12 @@ def sums_of(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A combination of parameters, its value and its standard deviation."""
+    """A combination of parameters, its value, standard error, and possible shift as one deviation."""
 
     combination: Combination
     value: float
     std: float
+    lack_of_fit: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,11 +205,9 @@ def _describe_pair(first: Known, second: Known, correlation: float, assess: Call
     names = [next(iter(one.combination.weights)) for one in (first, second)]
     # Of two in the same unit the plain sum or difference is given, of others the combination that is known best.
     weight = -math.copysign(1.0 if units[0] == units[1] else first.std / second.std, correlation)
-    said, values = _sum_of(names, weight, units[0], assess)
+    _, values = _sum_of(names, weight, units[0], assess)
     clause = f"use {join([in_words(name) for name in names])} only together"
-    clause += f": their {said}" if units[0] == units[1] else ": what one gains the other makes up for"
-    widths = " and ".join(f"± {number(INTERVAL * one.std, 2)} {one.combination.unit}" for one in (first, second))
-    words = f"{clause}; apart they are known to {widths} (correlation {correlation:+.3f})"
+    words = f"{clause} (correlation {correlation:+.3f})"
     return Message(Limitation.INSEPARABLE, words, values | {"parameters": names, "correlation": correlation}, clause)
 
 

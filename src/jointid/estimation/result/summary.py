@@ -74,10 +74,11 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         )
     yield parameters_table(estimate, details=details)
     if known := [] if estimate.known is None else estimate.known.physical:
+        each = [interval(one.value, INTERVAL * math.hypot(one.std, one.lack_of_fit)) for one in known]
         yield _table(
             "known together",
             ("combination", [one.combination.name for one in known], True),
-            ("value ± 2 sigma", [interval(one.value, INTERVAL * one.std) for one in known], False),
+            ("value ± 2 sigma", each, False),
             ("unit", [one.combination.unit for one in known], True),
             *([("symbol", [one.combination.formula for one in known], True)] if details else []),
         )
@@ -90,15 +91,12 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
             ("mode [Hz]", [f"{b.frequency:.0f}" if b.frequency else "-" for b in bounds], False),
         )
     if parts:
+        own = [p for p in rows if p.free and p.of_joint]
         alone = [{n: interval(one.values[n], INTERVAL * one.std[n]) for n in one.values} for one in parts]
         yield _table(
             "each by itself, ± 2 sigma without what all of them err alike",
             ("", [one.name for one in parts], True),
-            *(
-                (f"{p.symbol} {p.unit}", [one.get(p.name, "-") for one in alone], False)
-                for p in rows
-                if p.free and p.of_joint
-            ),
+            *((f"{p.symbol} {p.unit}", [one.get(p.name, "-") for one in alone], False) for p in own),
             ("error %", [f"{100 * one.filtered_error:.2f}" for one in parts], False),
         )
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
@@ -130,11 +128,8 @@ def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) 
         yield "torque error", f"{raw}{100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)"
     if (windows := data.windows) is not None:
         still = f", {windows.still} without motion left out" if windows.still else ""
-        yield (
-            "windows",
-            f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}; "
-            f"{number(windows.duration / 3600, 3)} h",
-        )
+        each = f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}"
+        yield "windows", f"{each}; {number(windows.duration / 3600, 3)} h"
     if details:
         passes = f", {fit.passes} times over the whole" if fit.passes else ""
         yield "effort", f"{fit.simulations} simulations{passes}"

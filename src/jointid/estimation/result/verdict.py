@@ -145,7 +145,7 @@ class StiffnessBound:
 
 
 Widening: TypeAlias = tuple[Mapping[str, float], str]
-"""By how much something may move each parameter, by name, as one deviation; and a warning, or nothing."""
+"""How something may move the parameters together, by name, as one deviation; and a warning, or nothing."""
 
 
 Checked: TypeAlias = tuple[tuple[Check, ...], Sequence[Widening], Documented | None]
@@ -168,14 +168,21 @@ def assemble(
     """
     undetermined, rows = {name for one in fit.about(Subject.SCALE) for name in one.values["undetermined"]}, []
     undetermined |= {*fit.known.undetermined} if fit.known else set()
+
+    def shift(weights: Mapping[str, float]) -> float:
+        """Largest shift of a weighted sum of parameters."""
+        return max((abs(sum(w * by.get(n, 0.0) for n, w in weights.items())) for by, _ in widenings), default=0.0)
+
     for p in fit.rows:
-        wide = max((by.get(p.name, 0.0) for by, _ in widenings), default=0.0) if p.stderr else 0.0
+        wide = shift({p.name: 1.0}) if p.stderr else 0.0
         lost = p.name in undetermined
         rows.append(replace(p, value=None, stderr=None) if lost else replace(p, lack_of_fit=max(p.lack_of_fit, wide)))
+    sums = [replace(s, lack_of_fit=shift(s.combination.weights)) for s in (fit.known.physical if fit.known else ())]
     return judged(
         replace(
             fit,
             rows=tuple(rows),
+            known=fit.known and replace(fit.known, physical=tuple(sums)),
             checks=_replace(fit.checks, checks),
             warnings=(*fit.warnings, *(warning for _, warning in widenings if warning)),
             diagnosis=diagnosis,
@@ -204,11 +211,9 @@ def _check_numbers(estimate: Estimate) -> Iterator[Check]:
     said = f"{number(100 * errors[worst], 2)} % of the {estimate.signal}{' of ' * bool(worst)}{worst} is not explained"
     explained = errors[worst] <= POOR_FIT  # an error that is no number is not
     yield check_of(Subject.FIT, explained, Reason.TORQUE_UNEXPLAINED, said, {"remaining": errors[worst]})
-    if known is not None and known.limitations:
-        yield from checks_of(Subject.IDENTIFIABILITY, False, *known.limitations)
-    elif known is not None:
-        said = "every parameter is distinguished from 0 and from the others"
-        yield check_of(Subject.IDENTIFIABILITY, True, Reason.ONLY_SUMS, said)
+    if known is not None:
+        good = Message(Reason.PASSED, "every parameter is distinguished from 0 and from the others")
+        yield from checks_of(Subject.IDENTIFIABILITY, not known.limitations, *(known.limitations or (good,)))
     yield _check_bounds(estimate)
     if agreement is not None and agreement.p_value is not None:
         name, code = Subject.AGREEMENT, Reason.RECORDS_DISAGREE
