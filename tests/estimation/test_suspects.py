@@ -14,18 +14,15 @@ from jointid.diagnostics.suspects import FaultSignature, FaultTest, number_fault
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.uncertainty.position_dependent_error import cells
+from studies.healthy import drive
 from tests.estimates import faults_of, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faults import FAULTS, problem, setting, solved
 from tests.rigid_axis import LOOP, TRUTH, recorded
 
 SIZES = {
-    "position_gain": 0.03 * 160.18,
-    "velocity_gain": -0.04 * 243.45,
-    "delay": 0.4e-3,
-    "offset": -3.16,
-    "log_gain": 0.03,
-}
+    "position_gain": 0.03 * 160.18, "velocity_gain": -0.04 * 243.45, "delay": 0.4e-3, "offset": -3.16, "log_gain": 0.03,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -57,9 +54,12 @@ def test_a_clean_record_is_as_declared() -> None:
     made = problem(where, None, "disturbance", 1)
     check = search_faults(SolvedLoop(made, solved(made, where)))
     assert check.as_declared
-    assert str(check.reasons[0]).startswith("loop and log are as declared as far as this record shows (")
     alike = next(s for s in check.tests if s.name == "velocity_gain")
     assert [one.name for one in alike.alike] == ["gain"]  # in a cascade without integral part only their product acts
+    # All families of tests share the level of a record.
+    axis = drive(70013, 8.0, "white force")
+    check = faults_of(identify(axis.record, axis.loop), axis.record)
+    assert check.as_declared and 0.01 < check.tests[0].p_value < 0.02
 
 
 def test_a_stribeck_friction_looks_like_its_column() -> None:

@@ -12,9 +12,9 @@ scaled to the residual before the fit, frequency by frequency: a slow motion has
 is no small noise of each row while friction holds the motor. So a fault is also compared with the sizes that simulated
 forces and noise of the residual's spectrum show.
 
-All tests of loop and log are one family, and all of the mechanics another, at a tenth of its level: p-values are
-multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns are collinear,
-given the joint's parameters, are one.
+All tests of loop and log are one family, other laws a second, and the mechanics a third, at a tenth of the level:
+p-values are multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns
+are collinear, given the joint's parameters, are one.
 """
 
 import math
@@ -52,7 +52,7 @@ from jointid.uncertainty.covariance import Influence, smoothed_spectrum
 from jointid.uncertainty.model_tests import Filter, fit_whitener, whiteness
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
-LEVEL = 0.02  # largest share of records without a fault in which one is found
+LEVEL = 0.01  # of the tests of loop and log, and of those of other laws: together they err in 2 % of records
 _RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
