@@ -14,6 +14,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import drive_profiles
 import joint_file_keys
 
 import jointid
@@ -61,7 +62,7 @@ _LINK = re.compile(r"\[(?P<text>[^\]\[]*)\]\((?!https?:|#|mailto:)(?P<target>[^)
 
 def written() -> dict[str, str]:
     """Return every generated page by its file name."""
-    pages = {"joint-file-keys.md": joint_file_keys.page(), **_api()}
+    pages = {"joint-file-keys.md": joint_file_keys.page(), "drive-profiles.md": drive_profiles.page(), **_api()}
     for source, name in REPOSITORY.items():
         text = (ROOT / source).read_text(encoding="utf-8")
         pages[f"{name}.md"] = relinked(text, (ROOT / source).parent, FOLDER)

@@ -1,6 +1,6 @@
-"""Tables that are made when the documentation is built: options of the commands, profiles of the drives, shares.
+"""Tables that are made when the documentation is built: options of the commands, errata, shares.
 
-A page says where: ``<!-- table: profiles -->`` is replaced. Each section of a command ends in its options.
+A page says where: ``<!-- table: errata -->`` is replaced. Each section of a command ends in its options.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from sphinx.util import logging
 
 from jointid.apps.cli.app import app
 from jointid.paper.reproduce import ERRATA
-from jointid.records.drives import load_profile, profile_names
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # of the studies
 
@@ -93,26 +92,6 @@ def _with_options(page: str) -> str:
     return _SECTION.sub(filled, page)
 
 
-def profiles() -> str:
-    """Return a section for each profile of a drive."""
-    parts = []
-    for name in profile_names():
-        profile = load_profile(name)
-        parts.append(f"### `{name}`: {profile.title}\n")
-        parts.append("| channel | names | unit | side | timing | tap |\n|---|---|---|---|---|---|")
-        for channel, signals in profile.channels.items():
-            for one in signals:
-                called = ", ".join(f"`{word}`" for word in one.names)
-                cells = (channel, called, *(str(cell or "") for cell in (one.unit, one.side, one.timing, one.tap)))
-                parts.append(f"| {' | '.join(cells)} |")
-        for said, number in (("Rated torque", profile.rated_torque), ("Counts", profile.counts)):
-            parts += [f"\n{said}: {number}."] if number else []
-        for said, lines in (("Sources", profile.sources), ("Assumed, to be compared with the drive", profile.assumed)):
-            parts.append("\n".join([f"\n{said}:\n", *(f"- {line}" for line in lines)]))
-        parts.append("")
-    return "\n".join(parts)
-
-
 def errata() -> str:
     """Return a section for each finding in the paper."""
     return "\n".join(
@@ -122,7 +101,7 @@ def errata() -> str:
     )
 
 
-TABLES = {"errata": errata, "profiles": profiles, "studies": lambda: make_table(STUDIES, read_entries())}
+TABLES = {"errata": errata, "studies": lambda: make_table(STUDIES, read_entries())}
 
 
 def _fill(_: Sphinx, docname: str, source: list[str]) -> None:

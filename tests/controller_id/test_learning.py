@@ -202,8 +202,7 @@ MOTOR = Cascade(position_gain=1.0, velocity_gain=1.0, gain=0.5, ratio=10.0, limi
 
 
 @pytest.mark.parametrize(
-    ("declared", "gain"),
-    [(MOTOR, 5.0), (Cascade(position_gain=1.0, velocity_gain=1.0, ratio=10.0), 1.0), (None, 1.0)],
+    ("declared", "gain"), [(MOTOR, 5.0), (Cascade(position_gain=1.0, velocity_gain=1.0, ratio=10.0), 1.0), (None, 1.0)]
 )
 def test_a_unit_of_the_drive_is_the_same_on_the_load(declared: Controller | None, gain: float) -> None:
     axis = Axis(name=None, joint=RigidJoint("prismatic"), columns={}, controller=declared)

@@ -49,8 +49,6 @@ def test_identify_validate_simulate_on_the_real_axis(
     assert run("identify", joint, "--json", out, "--figure", tmp_path / "t.svg", "-q") == 0
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.Estimate/2"
-    assert answer["settings"]["method"] == "didim"
-    assert answer["settings"]["system"]["model"] == "rigid"
     assert answer["data"]["channels"] == ["torque", "reference"]
     assert abs(answer["parameters"]["inertia"]["value"] - 95.0) <= 0.5
     assert answer["fit"]["relative_error"] <= 0.046
@@ -102,15 +100,12 @@ def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: P
         ("identify", "nothing.toml"),
         ("identify",),
         ("identfy", EMPS),
-        ("doctor",),
         ("identify", EMPS, "--recrod", "x.mat"),
         ("identify", EMPS, "--set", "method.name=magic"),
         ("identify", "log.csv"),
         ("identify", EMPS, "--record", EMPS),
         ("identify", EMPS, "--set", "method.estimator=ols"),
         ("identify", EMPS, "--set", "method.frequency=30"),
-        ("identify", EMPS, "--frequency", "30"),
-        ("inspect", EMPS, "--harmonics", "3"),
         ("validate", EMPS),
         ("demo", EMPS / "inside"),
     ],
@@ -121,8 +116,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(
     monkeypatch.chdir(tmp_path)
     assert run(*words) == 2
     said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("jointid: ")
+    assert said.out == "" and said.err.startswith("jointid: ")
     assert "Traceback" not in said.err
     assert list(tmp_path.iterdir()) == []
 

@@ -45,9 +45,10 @@ def test_a_joint_file_comes_through_the_form_unchanged(path: Path) -> None:
 
 def test_what_is_filled_in_is_what_is_written() -> None:
     said = {"controller.limit": "10", "controller.delay": "0,8 ms", EXTRA: "[parameters]\ncoulomb = 20.0", "x": "y"}
-    tables = filled({"record.file": "/etc/passwd", **said})
+    tables = filled({"record.file": "/etc/passwd", "controller.velocity_filter.time_constant": "0,4 ms", **said})
     assert tables["controller"] == {
-        "law": "cascade", "position_gain": 60, "velocity_gain": 500, "limit": 10, "delay": "0.8 ms"
+        "law": "cascade", "position_gain": 60, "velocity_gain": 500, "limit": 10, "delay": "0.8 ms",
+        "velocity_filter": {"kind": "first_order", "time_constant": "0.4 ms"},
     }  # fmt: skip
     assert (tables["parameters"], tables["record"]["file"]) == ({"coulomb": 20.0}, "a.csv")
     assert tables.keys() == {"joint", "record", "controller", "parameters"}
@@ -90,7 +91,7 @@ def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
     geared = FILLED | {"transmission.ratio": "50", "joint.torque_constant": "0.62"}
     asked = {"record.channels.reference.side": form.require_side, "controller.velocity_gain": form.require_controller}
     with pytest.raises(JointFileError, match="law"):
-        form.require_controller(FILLED | {"controller.law": ""})
+        form.require_controller(FILLED | {"controller.law": "", EXTRA: "# no controller"})
     for key, asks in asked.items():
         with pytest.raises(JointFileError, match=r"\?|unit"):
             asks(geared)

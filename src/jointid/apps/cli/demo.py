@@ -36,14 +36,7 @@ SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "mot
 """Standard deviation from day to day, relative to the value."""
 
 
-def demo(
-    folder: Path | None = None,
-    /,
-    *,
-    robot: Flag = False,
-    fleet: Flag = False,
-    quiet: Quiet = False,
-) -> None:
+def demo(folder: Path | None = None, /, *, robot: Flag = False, fleet: Flag = False, quiet: Quiet = False) -> None:
     """Try all of it on a simulated axis, robot or fleet.
 
     The axis is the digital twin of the paper's flexible one, and is identified from torque alone, its stiffness too.

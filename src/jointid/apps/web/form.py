@@ -27,10 +27,12 @@ EXTRA = "extra"
 """Field of the joint file's further lines, or of the whole robot file."""
 LAW, LEARN = "controller.law", "learn"
 """Field of the controller law, and its choice to learn the controller."""
+_FILTER = "controller.velocity_filter"
 
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
 _RATIO, _SIDE, _OF_MOTOR = "transmission.ratio", "record.channels.reference.side", "record.channels.motor_position.side"
 _LABELS = dict.fromkeys((_SIDE, _OF_MOTOR), "These positions are of the") | {"gravity.load": "Gravity"}  # not the key
+_LABELS |= {f"{_FILTER}.time_constant": "Velocity filter (PT1), time constant"}
 _USUAL = {"joint.model": "rigid", "joint.spring": "linear", "gravity.load": "none", _OF_MOTOR: "motor"}  # no default
 _SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # not folded
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are not folded
@@ -136,10 +138,11 @@ _CHANNELS = {
 _JOINT = _find("joint.model", "joint.friction", "joint.spring", "joint.name", "gravity.load")
 _METHOD = _find("method.frequency", "filtering.cutoff")
 (_LAW,) = _find(LAW)
-_LAWS = {law: tuple(one for one in _find("controller", law=law) if one.key != LAW) for law in _LAW.choices if law}
+_PT1, *_ = _find(f"{_FILTER}.time_constant", law="first_order")
+_LAWS = {law: (*(one for one in _find("controller", law=law) if one.key != LAW), _PT1) for law in _LAW.choices if law}
 _UNKNOWN = {"": "not known: do without it", LEARN: "not known: learn it from this record"}
 _CONTROLLER = replace(_LAW, choices={law: law for law in _LAWS} | _UNKNOWN)
-_LINES = 'as in a joint file: [controller], then velocity_filter = { kind = "first_order", time_constant = "0.5 ms" }'
+_LINES = "as in a joint file: [controller], then velocity_filter = [0.5, 0.5] of a drive that averages two samples"
 _EXTRA = (Field(EXTRA, Setting(_LINES, name=EXTRA, type=dict, optional=True, default=None)),)
 _FURTHER = Section("Further lines of the joint file: all that has no field", _EXTRA, folded=True)
 ROBOT = (Section("The robot file", _EXTRA),)
@@ -187,7 +190,7 @@ def require_side(texts: Texts) -> None:
 def require_controller(texts: Texts) -> None:
     """Refuse an unknown law of a joint whose motor position is unknown, and a velocity gain without a needed unit."""
     given = (LAW, "record.channels.motor_position.column", "drive.profile")
-    if texts.get(_KIND) and not any(map(texts.get, given)) and "controller" not in texts.get(EXTRA, ""):
+    if texts.get(_KIND) and not any(map(texts.get, given)) and "controller" not in make_tables(texts, []):
         asked = "Without the motor's position in the log the controller must be known: choose its law."
         raise JointFileError(Fault(asked, tuple(LAW.split(".")), "missing"))
     gain = texts.get("controller.velocity_gain", "")
@@ -223,6 +226,7 @@ def make_tables(texts: Texts, records: Sequence[str]) -> Tables:
         tables = parse_toml(texts.get(EXTRA, ""))
         given = [(one, text) for key, one in fields_of(texts).items() if (text := texts.get(key, ""))]
         changes = [f"{one.key}={one.read(text)}" for one, text in given if (one.key, text) != (LAW, LEARN)]
+        changes += [f"{_FILTER}.kind=first_order"] * any(one is _PT1 for one, _ in given)
         records = () if "records" in tables else records
         changes += [f"record.file={json.dumps(name, ensure_ascii=False)}" for name in records if len(records) == 1]
         made = apply_changes(tables if "robot" in tables else {"joint": {}} | tables, changes)
@@ -247,7 +251,8 @@ def show_tables(tables: Tables) -> dict[str, str]:
     for _ in range(2):  # choices determine the other fields
         shown = {key: one.show(given.get(key)) for key, one in fields_of(texts).items()}
         texts |= {key: text for key, text in shown.items() if text is not None}
-    return texts | {EXTRA: tomlkit.dumps(_leave_out(tables, {*texts, "record.file"}))}
+    of_filter = [f"{_FILTER}.kind"] * (_PT1.key in texts)
+    return texts | {EXTRA: tomlkit.dumps(_leave_out(tables, {*texts, "record.file", *of_filter}))}
 
 
 def _leave_out(tables: Tables, keys: Collection[str], place: str = "") -> Tables:
