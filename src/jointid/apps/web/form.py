@@ -34,7 +34,7 @@ _RATIO, _SIDE, _OF_MOTOR = "transmission.ratio", "record.channels.reference.side
 _LABELS = dict.fromkeys((_SIDE, _OF_MOTOR), "These positions are of the") | {"gravity.load": "Gravity"}  # not the key
 _LABELS |= {f"{_FILTER}.time_constant": "Velocity filter (PT1), time constant"}
 _USUAL = {"joint.model": "rigid", "joint.spring": "linear", "gravity.load": "none", _OF_MOTOR: "motor"}  # no default
-_SHOWN = ("gain", "limit", "period", "delay", "integral_gain", "integral_time", "derivative_gain")  # not folded
+_SHOWN = ("integral_time", "derivative_gain", "gain", "limit", "period", "delay", "integral_gain")  # not folded
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are not folded
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
 _OF_READING = ("sample_time", "optional", "time")  # keys of a channel without a field
@@ -171,7 +171,8 @@ def joint_step(texts: Texts) -> Iterator[Section]:
     """Yield the sections of step 3 for the chosen model and law."""
     law, flexible = texts.get(LAW, ""), texts.get("joint.model") == "flexible"
     of_law = _LAWS.get(law, ())
-    main = tuple(one for one in of_law if one.declared.required or one.declared.name in _SHOWN)
+    main = [one for one in of_law if one.declared.required or one.declared.name in _SHOWN]
+    main.sort(key=lambda one: -1 if one.declared.required else _SHOWN.index(one.declared.name))
     yield Section("The axis", tuple(one for one in _JOINT if flexible or one.key not in _FLEXIBLE))
     yield Section("The controller", (_CONTROLLER, *main))
     yield Section("More of the controller", tuple(one for one in of_law if one not in main), folded=True)
