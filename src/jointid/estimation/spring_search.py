@@ -498,7 +498,8 @@ class SplitRobot:
         """Best frequency for each joint's own torque, (n,), from a row.
 
         All joints have the same frequency in a run: a joint's spring has little effect on the torques of others, and a
-        run for each joint and frequency would take as many times as long. A joint without a spring has 0.
+        run for each joint and frequency would take as many times as long. A joint without a spring has 0. Where a stiff
+        spring explains most, the highest of the row is taken: from a soft one no descent leads to a mode above it.
         """
         problem = self.problem
         row = [f for f in _HERTZ if f < self.stiff]
@@ -511,7 +512,8 @@ class SplitRobot:
         def costs(frequency: float) -> FloatArray:
             return problem.norms(problem.residual(problem.parameters.to_search_variables(self.values(frequency))))
 
-        return np.where(problem.parameters.base.flexible, np.take(row, np.argmin(in_threads(costs, row), axis=0)), 0.0)
+        best = np.argmin(in_threads(costs, [*row, self.stiff]), axis=0)
+        return np.where(problem.parameters.base.flexible, np.take([*row, row[-1]], best), 0.0)
 
     def bound(self, problem: Simulated) -> Simulated:
         """Return the problem with bounds on each spring."""

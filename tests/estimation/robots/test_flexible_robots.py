@@ -12,7 +12,7 @@ from jointid.simulation.plant import robot_with
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.estimation.robots.twin import identified as identified_robot
-from tests.robots_plants import Twin, assert_springs, six, stiffness_of, two
+from tests.robots_plants import Twin, assert_springs, seven, six, stiffness_of, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
 
 
@@ -22,24 +22,18 @@ def identified(
     multisine: float = 0.004,
     frequencies: dict[str, float] | None = None,
     level: float = 0.02,
-    evaluations: int = 60,
 ) -> tuple[RobotFit, np.ndarray]:
     """Return what is found of a twin with noise, from a robot whose numbers say nothing; and the noise."""
     loop = twin.loop()
     records, noise = recorded(loop, twin.records(duration, multisine=multisine), level)
     joints = tuple(
         replace(
-            joint,
-            rotor_inertia=1.0,
-            viscous=0.0,
-            coulomb=0.0,
-            stribeck_force=0.0,
-            spring=JointSpring(1.0) if joint.spring else None,
+            j, rotor_inertia=1.0, viscous=0.0, coulomb=0.0, stribeck_force=0.0, spring=j.spring and JointSpring(1.0)
         )
-        for joint in twin.robot.joints
+        for j in twin.robot.joints
     )
     blank = replace(twin.robot.with_inertials(np.zeros((len(joints), 10))), joints=joints)
-    settings = DIDIM(frequencies=frequencies or {}, evaluations=evaluations)
+    settings = DIDIM(frequencies=frequencies or {}, evaluations=60)
     found = search_robot(RobotLoop(blank, loop.controllers), records, None, settings)
     return found, noise
 
@@ -64,10 +58,8 @@ def test_springs_come_back_with_their_intervals() -> None:
     for name in found.springs:
         stiffness, deviation = found.value(f"{name}.stiffness")
         assert deviation < 0.03 * stiffness
-    again = simulate(
-        RobotLoop(robot_with(twin.robot, found.problem.numbers(found.x)), twin.loop().controllers),
-        twin.records(6.0, multisine=0.004),
-    )
+    same = replace(twin.loop(), robot=robot_with(twin.robot, found.problem.numbers(found.x)))
+    again = simulate(same, twin.records(6.0, multisine=0.004))
     assert again.torque == pytest.approx(found.runs[0].torque, abs=1e-9)
 
 
@@ -127,10 +119,17 @@ def test_a_rigid_robot_is_told_soon() -> None:
     assert len(springs) == 4 and all(row.value is None and row.stderr is None for row in springs)
 
 
+def test_a_descent_that_left_little_is_followed_from_where_it_is() -> None:
+    """It had not ended: three starts of 12 simulations each were tried beside it, and none was taken."""
+    found, _ = identified(two((8.0, 45.0)), 3.0)
+    assert found.converged and found.iterations < 40
+
+
 @pytest.mark.slow
-def test_six_flexible_joints() -> None:
-    twin = six(True)
-    found, _ = identified(twin, duration=6.0)
+@pytest.mark.parametrize(("twin", "duration"), [(six(True), 6.0), (seven(True), 10.0)], ids=["six", "seven"])
+def test_six_and_seven_flexible_joints(twin: Twin, duration: float) -> None:
+    """Of the seven, three modes are above those that the search begins with, and soft springs explain little."""
+    found, _ = identified(twin, duration)
     assert found.converged
     assert np.mean(np.abs(deviations(found, twin)) < 2) > 0.9
     assert_springs(found, twin, 0.06)

@@ -434,12 +434,10 @@ def _reweight(end: Solved) -> Simulated:
 
 
 def _leads_on(end: Solved) -> bool:
-    """Whether a descent still progresses, or leaves little of each joint's torque."""
-    trace = end.solution.trace
-    if not end.solution.status.converged:
-        return len(trace) > 1 and trace[-1] < 0.7 * trace[-2]
-    left = end.problem.norms(linearise_again(end)[0])
-    return not np.any(left > LITTLE * end.problem.sizes)
+    """Whether a descent still progresses, or leaves little of each joint's torque, at its end or on the way."""
+    trace, left = end.solution.trace, end.problem.norms(linearise_again(end)[0])
+    falls = not end.solution.status.converged and len(trace) > 1 and trace[-1] < 0.7 * trace[-2]
+    return falls or not np.any(left > LITTLE * end.problem.sizes)
 
 
 # Springs
