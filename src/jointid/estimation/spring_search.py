@@ -8,8 +8,9 @@ For a joint these are tried, in order:
    that affected the tuning of the loop lies not far from there, so the grid of free-free
    frequencies is scaled by the crossover. Half of the grid gives unstable loops, and the rest has local minima.
 3. Rough descents from the best few, at frequencies apart, until two end together; which explain little are given up.
-4. The best solution with its Coulomb friction divided differently. The motor's share decides which side stops
-   first at every reversal, so the criterion has several minima over it, and several starts find the same wrong one.
+4. The best solution with its Coulomb friction divided differently, or partly replaced by a constant force. The motor's
+   share decides which side stops first at every reversal, so the criterion has several minima over it, and several
+   starts find the same wrong one.
 5. A descent to the full tolerance. Where no second start found this solution, it is first repeated from nearby.
    The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
@@ -61,17 +62,10 @@ from jointid.solvers.solve import LevenbergMarquardt, solve
 if TYPE_CHECKING:
     from jointid.estimation.robots.didim import RobotFit
 
-FASTEST = 0.22
-"""Of the sampling frequency: a mode faster than about a fifth is not followed by the log."""
-
-STIFFEST = 0.15
-"""Of the sampling frequency: the highest mode of a robot that is searched."""
-
-LITTLE = 0.1
-"""Of the torque: an end that leaves more may be a false minimum."""
-
-DAMPED = 0.03
-"""Of critical: springs that a search begins with."""
+FASTEST = 0.22  # of the sampling frequency: a mode faster than about a fifth is not followed by the log
+STIFFEST = 0.15  # of the sampling frequency: the highest mode of a robot that is searched
+LITTLE = 0.1  # of the torque: an end that leaves more may be a false minimum
+DAMPED = 0.03  # of critical: springs that a search begins with
 
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
 _SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
@@ -93,6 +87,7 @@ _REFINED, _BESIDE = 6, 3  # starts refined at most, until two end together; rest
 _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER, _REST = 1e-3, 1e-4  # of what remains: so much less is further down; of the torque: too little to compare
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
+_EXCHANGED = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)  # of the Coulomb friction, with the constant force
 _STEP = LevenbergMarquardt(evaluations=2)
 _MOVES = 0.05  # of the reference's largest speed: at more the motor moves at the first sample
 
@@ -391,11 +386,14 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
     sides = [(f"motor{name[4:]}", name) for name in forces if name.startswith("load_") and f"motor{name[4:]}" in forces]
     if not sides:
         return None
-    tried = []
+    tried, wholes = [], [(motor, load, values[motor] + values[load]) for motor, load in sides]
     for share in _DIVISIONS:
-        wholes = {pair: values[pair[0]] + values[pair[1]] for pair in sides}
-        moved = {motor: share * whole for (motor, _), whole in wholes.items()}
-        moved |= {load: (1 - share) * whole for (_, load), whole in wholes.items()}
+        moved = {motor: share * whole for motor, _, whole in wholes}
+        moved |= {load: (1 - share) * whole for _, load, whole in wholes}
+        tried.append(problem.vector(values | moved))
+    # Where the motor often rests, a constant force is hardly distinguished from the friction that holds the load.
+    for (_, load, whole), part, sign in product(wholes, _EXCHANGED, (-1.0, 1.0) if "offset" in forces else ()):
+        moved = {load: values[load] + part * whole, "offset": values["offset"] + sign * part * whole}
         tried.append(problem.vector(values | moved))
     here, *left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), [x, *tried])
     nearest = [tried[i] for i in np.argsort(left)[:2]]  # a valley's two sides may have a bottom each
