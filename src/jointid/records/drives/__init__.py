@@ -329,8 +329,8 @@ class Frame:
         if stated not in known:
             said = unit_fault(stated, known)
             if ratio is not None and any(stated in known_units(channel, other) for other in units.POSITION_UNITS):
-                said = f'is in "{stated}", and the joint is {kind}: correct its kind; a load that slides by a motor '
-                said += 'that turns is "prismatic" with the lead of its transmission, as lead = "10 mm"'
+                said = f'is in "{stated}", and the joint is {kind}: correct its kind; a load that slides and a motor '
+                said += 'that turns need kind "prismatic" and the lead of the transmission, as "10 mm" per turn'
             raise units.UnitError(said)
         try:
             return self.drive.resolve_unit(units.unit(stated), kind, of_load=of_load, geared=ratio not in (None, 1.0))
