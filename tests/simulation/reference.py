@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Tree
+from jointid.simulation import kernels
 from jointid.simulation.kernels import Plant, SampledLoop
 from jointid.simulation.loop_input import LoopInput
 from jointid.simulation.start import Initial, Numbers, begin
@@ -35,45 +36,48 @@ class _Motion:
         self.size, self.time, self.period = len(self.rows), 0.0, period
         place, speed, wound = state
         self.y = np.concatenate([place, speed, wound, np.zeros(len(self.springs))])
-        self.winds = [row[0][6] > 0.0 for row in self.rows]
+        self.winds = [row[0][kernels.WINDING] > 0.0 for row in self.rows]
         self.y[2 * self.size : 3 * self.size] *= self.winds
-        slips = [row[0][4] + row[0][5] + abs(row[0][8]) + row[0][9] == 0.0 for row in self.rows]
+        holds = kernels.COULOMB, kernels.COULOMB_BACK, kernels.COULOMB_DRIFT, kernels.PER_TORQUE
+        slips = [not any(row[0][number] for number in holds) for row in self.rows]
         self.free = [winds or slips for winds, slips in zip(self.winds, slips, strict=True)]  # nothing ever sticks
         self.modes = [float(np.sign(v)) for v in speed]
         self.drive, self.events, self.fastest = [0.0] * self.size, 0, 1e-9
         self.pieces = [0] * len(self.springs)  # of each spring, negative for negative deflections
         for s, (one, two) in enumerate(self.pairs):
             e = place[two] - place[one]
-            self.pieces[s] = int(math.copysign(sum(abs(e) > row[5] for row in self.springs[s][1:]), e))
+            self.pieces[s] = int(math.copysign(sum(abs(e) > row[kernels.BEGIN] for row in self.springs[s][1:]), e))
 
     def springs_at(self, y: list[float]) -> list[float]:
         """Return the torques of the springs."""
         n, found = self.size, []
         for s, (one, two) in enumerate(self.pairs):
             e, de, piece = y[two] - y[one], y[n + two] - y[n + one], self.pieces[s]
-            k, damping, cubic, slips, held, *_ = self.springs[s][abs(piece)]
+            k, damping, cubic, slips, held = self.springs[s][abs(piece)][: kernels.BEGIN]
             found.append(float(np.sign(piece)) * held + k * e + cubic * e**3 + damping * de + slips * y[3 * n + s])
         return found
 
     def room(self, s: int, y: FloatArray) -> tuple[float, float]:
         """Return how far a deflection is above and below the ends of its piece."""
         (one, two), piece = self.pairs[s], self.pieces[s]
-        begins = [*(row[5] for row in self.springs[s]), math.inf]
+        begins = [*(row[kernels.BEGIN] for row in self.springs[s]), math.inf]
         low, high = begins[abs(piece)], begins[abs(piece) + 1]
         low, high = (low, high) if piece > 0 else (-high, -low if piece < 0 else high)
         return float(y[two] - y[one]) - low, high - float(y[two] - y[one])
 
     def friction(self, i: int, t: float, v: float, way: float, pull: list[float]) -> tuple[float, float]:
         """Return the viscous coefficient and the Coulomb force of a mass that moves one way."""
-        row = next(row for row in self.rows[i] if abs(v) <= row[10])
+        row = next(row for row in self.rows[i] if abs(v) <= row[kernels.HIGH])
         carried = self.drive[i] if self.carriers[i] < 0 else pull[self.carriers[i]]
         back = int(way < 0.0)
-        return row[2 + back] + row[7] * t, row[4 + back] + row[8] * t + row[9] * abs(carried)
+        viscous = row[kernels.VISCOUS + back] + row[kernels.VISCOUS_DRIFT] * t
+        grip = row[kernels.COULOMB + back] + row[kernels.COULOMB_DRIFT] * t
+        return viscous, grip + row[kernels.PER_TORQUE] * abs(carried)
 
     def forces(self, t: float, y: list[float]) -> tuple[list[float], list[float]]:
         """Return the forces on the masses but for friction, and the springs' torques."""
         pull = self.springs_at(y)
-        push = [torque - rows[0][1] for torque, rows in zip(self.drive, self.rows, strict=True)]
+        push = [torque - rows[0][kernels.OFFSET] for torque, rows in zip(self.drive, self.rows, strict=True)]
         for (one, two), torque in zip(self.pairs, pull, strict=True):
             push[one], push[two] = push[one] + torque, push[two] - torque
         for cos, sin, rate, wave, where in self.places:
@@ -83,7 +87,7 @@ class _Motion:
 
     def mass_matrix(self, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the mass matrix, and the torques that the links' motion takes."""
-        M, bias, n = np.diag([row[0][0] for row in self.rows]), np.zeros(self.size), len(self.inertials)
+        M, bias, n = np.diag([row[0][kernels.INERTIA] for row in self.rows]), np.zeros(self.size), len(self.inertials)
         if self.tree is not None:
             joints = self.tree.joints if self.tree.joints.size else np.eye(n)
             q, v = joints @ y[:n], joints @ y[self.size : self.size + n]
@@ -106,7 +110,11 @@ class _Motion:
             grip[i] = coulomb
         if self.tree is None:
             moving = zip(held, modes, self.rows, strict=True)
-            return np.array([push / rows[0][0] if mode else 0.0 for push, mode, rows in moving]), held, grip
+            return (
+                np.array([push / rows[0][kernels.INERTIA] if mode else 0.0 for push, mode, rows in moving]),
+                held,
+                grip,
+            )
         M, bias = matrix or self.mass_matrix(y)
         a, free = np.zeros(n), np.array(modes) != 0.0
         a[free] = np.linalg.solve(M[np.ix_(free, free)], (held - bias)[free])
@@ -136,10 +144,10 @@ class _Motion:
         n, (a, _, _) = self.size, self.accelerations(t, y, self.modes)
         v, rates = y[n : 2 * n], np.zeros(n + len(self.springs))
         for i in range(n):
-            rates[i] = (v[i] - abs(v[i]) * y[2 * n + i]) * self.rows[i][0][6]
+            rates[i] = (v[i] - abs(v[i]) * y[2 * n + i]) * self.rows[i][0][kernels.WINDING]
         for s, (one, two) in enumerate(self.pairs):
             de = v[two] - v[one]
-            rates[n + s] = (de - abs(de) * y[3 * n + s]) * self.springs[s][0][6]
+            rates[n + s] = (de - abs(de) * y[3 * n + s]) * self.springs[s][0][kernels.WINDING]
         return np.concatenate([v, a, rates])
 
     def guard(self, i: int) -> Any:

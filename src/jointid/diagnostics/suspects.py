@@ -417,8 +417,8 @@ def _wave(seen: Seen) -> Columns:
 
 def _at_low_speed(sign: float, seen: Seen) -> Columns:
     """Yield friction changes by ``S exp(-(v / vs)^2)``, for some vs."""
-    own = "" if seen.loop is None else seen.loop[0].joint.friction.name
-    if "stribeck" not in own and "presliding" not in own:
+    own = [] if seen.loop is None else seen.loop[0].joint.friction.terms()
+    if not any(term.winds or "stribeck_speed" in [name for name, *_ in term.parameters] for term in own):
         yield from ((speed, sign * column) for speed, column in seen.at_low_speeds)
 
 

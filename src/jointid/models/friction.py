@@ -1,8 +1,8 @@
 """Friction laws: lines over velocity for each direction, and additional terms.
 
 Being linear in the parameters of its lines lets a regression estimate them (`Friction.columns`). At standstill the
-Coulomb force is a set: any force within its bounds keeps the mass at rest. To add a term, write its row in `_TERMS`; if
-it changes how friction winds up, `wind_up`, too. Kernels compile that for complex numbers: use `way`, not ``abs(v)``.
+Coulomb force is a set: any force within its bounds keeps the mass at rest. To add a term, write its row in `_TERMS`,
+and for a state of friction its rate, which that row names.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ KNOTS = (
     (0.0, 1.0), (0.148, 0.9822), (0.338, 0.8961), (0.575, 0.7206), (0.982, 0.3774), (1.247, 0.207), (1.514, 0.0973),
     (1.836, 0.0308), (2.375, 0.0),
 )  # fmt: skip
+_LINES = 6  # numbers of a mass before those of its terms
 _LEAST = 1e-12  # of a Stribeck speed, and of a displacement over which friction winds up, in the joint's unit
 _SPEEDS = (0.02, 0.08)  # of the largest speed: where a search for a Stribeck speed begins
 _CHANGE = 0.3  # of the Coulomb friction: what a change of it towards standstill begins with
@@ -90,6 +91,9 @@ class Term(NamedTuple):
         parameters: name, symbol, quantity, lower and upper bound of each; the names begin with the side's prefix.
         starts: returns start values of the parameters.
         of_load: whether it acts on the load side of a flexible joint only.
+        winds: of a Coulomb force that winds up, ``winds(numbers, i, way, v, w)``: rate of the share w that acts, -1 to
+            1, and partial of the rate by w, at a velocity v in the direction `way`. ``numbers[i, WINDING]`` is one over
+            the first parameter; the others follow. Kernels compile it for complex numbers: use `way`, not ``abs(v)``.
     """
 
     adds: str
@@ -97,6 +101,12 @@ class Term(NamedTuple):
     parameters: tuple[tuple[str, str, Quantity, float, float], ...]
     starts: Callable[[MotionSize], list[tuple[float, ...]]]
     of_load: bool = False
+    winds: Callable[..., tuple[Any, Any]] | None = None
+
+
+def _dahl(numbers: NDArray[Any], i: int, way: float, v: Any, w: Any) -> tuple[Any, Any]:
+    rate = numbers[i, WINDING] * v
+    return rate * (1.0 - way * w), -way * rate
 
 
 _TERMS: Mapping[str, Term] = {
@@ -111,7 +121,7 @@ _TERMS: Mapping[str, Term] = {
     "presliding": Term(
         "the displacement over which friction winds up", "the Coulomb force that it winds up to",
         (("presliding_distance", "s", Quantity.POSITION, _LEAST, math.inf),),
-        lambda size: [(share * size.travel,) for share in _DISTANCES],
+        lambda size: [(share * size.travel,) for share in _DISTANCES], winds=_dahl,
     ),
     "drifting": Term(
         "the change of friction with time", "what it is at the first sample",
@@ -128,9 +138,13 @@ _TERMS: Mapping[str, Term] = {
 }  # fmt: skip
 BESIDE = tuple(name for term in _TERMS.values() for name, *_ in term.parameters)
 """The numbers that a law may have beside its lines, by their names without a side's prefix."""
-COLUMNS = {name: column for column, name in enumerate(BESIDE[2:], 6)}
-"""Of these in a mass's numbers (`simulation.kernels`), the first inverse; a Stribeck term is in its lines."""
-_WINDING = COLUMNS["presliding_distance"]
+_FORCES = [term for word, term in _TERMS.items() if not (term.winds or word == "stribeck")]
+COLUMNS = {own[0]: i for i, own in enumerate((own for term in _FORCES for own in term.parameters), _LINES)}
+"""Of these in a mass's numbers (`simulation.kernels`); a Stribeck term is in the lines."""
+WINDS = [term.winds for term in _TERMS.values() if term.winds]
+LAW, WINDING = _LINES + len(COLUMNS), _LINES + len(COLUMNS) + 1
+"""Columns of which of `WINDS` it is, and of the first of its numbers."""
+WIDTH = WINDING + max(len(term.parameters) for term in _TERMS.values() if term.winds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +179,8 @@ class Friction:
 
     def __post_init__(self) -> None:
         whole = "-".join(word for word in ("asymmetric", *_TERMS) if word in self.name) or "symmetric"
-        if self.name != whole or "stribeck-presliding" in whole:  # lines that wind up jump from band to band
+        winding = sum(term.winds is not None for term in self.terms())
+        if self.name != whole or winding + ("stribeck" in whole) > 1:  # lines that wind up jump from band to band
             raise MethodError(f'Friction "{self.name}" is not known; use {", ".join(FRICTIONS)}.')
 
     @property
@@ -239,10 +254,16 @@ class Friction:
         forwards, held, backwards, held_back = (values[own if own in values else both] for own, both in names)
         return forwards, backwards, held, held_back
 
-    def beside(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
-        """Numbers of the terms by unprefixed name; 0 for absent terms."""
-        own = [name for term in self.terms(prefix) for name, *_ in term.parameters]
-        return dict.fromkeys(BESIDE, 0.0) | {name: values[f"{prefix}{name}"] for name in own}
+    def numbers(self, values: Mapping[str, Any], prefix: str = "") -> list[Any]:
+        """Numbers of a mass behind its lines; 0 for absent terms."""
+        law, winding, others = 0, [0.0] * (WIDTH - WINDING), dict.fromkeys(COLUMNS, 0.0)
+        for term in self.terms(prefix):
+            own = {name: values[f"{prefix}{name}"] for name, *_ in term.parameters}
+            if term.winds:
+                law, winding[: len(own)] = WINDS.index(term.winds), own.values()
+            others |= own
+        winding[0] = 1.0 / winding[0] if winding[0] != 0.0 else 0.0
+        return [*(others[name] for name in COLUMNS), law, *winding]
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> list[tuple[float, Directions]]:
         """Bands of speed, slowest first: upper end (the last infinite) and lines.
@@ -272,7 +293,8 @@ class Friction:
         bands, way = self.bands(values, prefix), math.copysign(1.0, velocity)
         lines = next((lines for high, lines in bands if abs(velocity) <= high), bands[-1][1])
         viscous, coulomb = lines[::2] if way > 0.0 else lines[1::2]
-        own, share = viscous * velocity + way * coulomb, way * self.beside(values, prefix)["friction_per_torque"]
+        own = viscous * velocity + way * coulomb
+        share = way * self.numbers(values, prefix)[COLUMNS["friction_per_torque"] - _LINES]
         return own if share == 0.0 else (load + own) / (1.0 - share * math.copysign(1.0, load + own)) - load
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
@@ -289,12 +311,6 @@ class Friction:
     def constant(self, prefix: str = "") -> dict[str, float]:
         """Weights of parameters for the constant force in the law, if any."""
         return {f"{prefix}{c.name}": 0.5 * c.way for c in self.coefficients if c.part == "coulomb" and c.way}
-
-
-def wind_up(numbers: NDArray[Any], i: int, way: float, v: Any, w: Any) -> tuple[Any, Any]:
-    """Rate of the share w of mass i's Coulomb force that acts, and its partial by w."""
-    rate = numbers[i, _WINDING] * v
-    return rate * (1.0 - way * w), -way * rate
 
 
 FRICTIONS: Mapping[str, Friction] = {

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
@@ -81,6 +81,11 @@ class _JointBase:
         """Law of the spring, if present."""
         spring: Spring | None = getattr(self, "spring", None)
         return () if spring is None else (spring,)
+
+    @property
+    def linear(self) -> Self:
+        """The joint with lines of friction and spring, without a ripple."""
+        return type(self)(self.kind, self.friction.lines, self.torque_unit, self.transmission, self.gravity)
 
     @property
     def rigid(self) -> RigidJoint:
@@ -215,11 +220,6 @@ class RigidJoint(_JointBase):
     sides = ("",)
 
     @property
-    def linear(self) -> RigidJoint:
-        """The joint with the lines of its friction alone, without a ripple."""
-        return replace(self, friction=self.friction.lines, ripple=None)
-
-    @property
     def flexible(self) -> FlexibleJoint:
         """The joint with a linear spring between motor and load."""
         return FlexibleJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, self.ripple)
@@ -243,11 +243,6 @@ class FlexibleJoint(_JointBase):
     sides = "motor_", "load_"
 
     spring: Spring = field(default_factory=Spring)
-
-    @property
-    def linear(self) -> FlexibleJoint:
-        """The joint with linear spring and friction lines, without ripple."""
-        return replace(self, spring=self.spring.lines, friction=self.friction.lines, ripple=None)
 
     @staticmethod
     def frequencies(values: Mapping[str, float]) -> dict[str, float]:

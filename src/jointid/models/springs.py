@@ -40,11 +40,6 @@ class Piece(NamedTuple):
     damping: float
 
 
-def _start_line(linear: Values, windup: float) -> Iterator[dict[str, float]]:
-    del windup
-    yield {"stiffness": linear["stiffness"]}
-
-
 def _start_pieces(count: int) -> Starts:
     def start(linear: Values, windup: float) -> Iterator[dict[str, float]]:
         """Yield start values: stiffening and softening springs with equal torque ranges."""
@@ -62,12 +57,6 @@ def _pieces(count: int) -> tuple[Parameter, ...]:
     return (*then, *(Parameter(f"torque_{i}", f"T{i}", Quantity.FORCE, lower=0.0) for i in range(1, count)))
 
 
-def _start_gap(linear: Values, windup: float) -> Iterator[dict[str, float]]:
-    """Yield gaps of a share of the deflection, with a stiffer spring."""
-    for share in _GAPS:
-        yield {"stiffness": linear["stiffness"] / (1 - share), "gap": 2 * share * windup}
-
-
 def _start_cubic(linear: Values, windup: float) -> Iterator[dict[str, float]]:
     """Yield a stiffening and a softening spring, for the largest deflection."""
     stiffness = linear["stiffness"]
@@ -81,13 +70,6 @@ def _start_slider(linear: Values, windup: float) -> Iterator[dict[str, float]]:
     for share in _SHARES:
         limit = share * slider * windup
         yield {"stiffness": _SOFTER * stiffness, "hysteresis_stiffness": slider, "hysteresis_torque": limit}
-
-
-def _start_swinging(linear: Values, windup: float) -> Iterator[dict[str, float]]:
-    """Yield swinging parts of the load, at multiples of the first mode."""
-    del windup
-    for share, times in product(_PARTS, _TIMES):
-        yield swinging_part(linear, share, times)
 
 
 def swinging_part(linear: Values, share: float, times: float) -> dict[str, float]:
@@ -119,14 +101,17 @@ class _Law(NamedTuple):
 
 
 _LAWS: Mapping[str, _Law] = {
-    "linear": _Law((), "{stiffness}", _start_line),
+    "linear": _Law((), "{stiffness}", lambda linear, windup: iter([{"stiffness": linear["stiffness"]}])),
     "two-piece": _Law(_pieces(2), "{stiffness} up to {torque_1}, {stiffness_2} above", _start_pieces(2)),
     "three-piece": _Law(
         _pieces(3), "{stiffness} up to {torque_1}, {stiffness_2} up to {torque_2}, {stiffness_3} above",
         _start_pieces(3),
     ),
     "backlash": _Law(
-        (Parameter("gap", "gap", Quantity.POSITION, lower=0.0),), "{stiffness} behind a gap of {gap}", _start_gap
+        (Parameter("gap", "gap", Quantity.POSITION, lower=0.0),), "{stiffness} behind a gap of {gap}",
+        lambda linear, windup: (
+            {"stiffness": linear["stiffness"] / (1 - share), "gap": 2 * share * windup} for share in _GAPS
+        ),
     ),
     "cubic": _Law(
         (Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS),),
@@ -147,7 +132,8 @@ _LAWS: Mapping[str, _Law] = {
             Parameter("swinging_stiffness", "K23", Quantity.STIFFNESS, lower=0.0),
             Parameter("swinging_damping", "F23", Quantity.VISCOUS, lower=0.0),
         ),
-        "{stiffness}, and a share of {swinging_share} of the load on {swinging_stiffness}", _start_swinging,
+        "{stiffness}, and a share of {swinging_share} of the load on {swinging_stiffness}",
+        lambda linear, windup: (swinging_part(linear, share, times) for share, times in product(_PARTS, _TIMES)),
         "the part of the load that swings on a spring of its own", "the whole load on the first spring",
     ),
 }  # fmt: skip

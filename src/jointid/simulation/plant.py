@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
-from jointid.models.friction import BESIDE, COLUMNS, Friction
+from jointid.models.friction import BESIDE, Friction
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot, RobotJoint
@@ -41,7 +41,6 @@ HEAVY = 1e18
 _IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _THIN = 1e-300  # m or rad: the width of a piece of none, in which a joint would never get on
 _WAYS = {"forwards": 1.0, "backwards": -1.0}
-_COLUMNS = {symbol: column for column, symbol in enumerate(SYMBOLS)}
 
 
 class Place(NamedTuple):
@@ -57,12 +56,12 @@ class Place(NamedTuple):
     @property
     def of_link(self) -> bool:
         """Whether it is an inertial parameter of a link."""
-        return self.name in _COLUMNS
+        return self.name in SYMBOLS
 
     @property
     def column(self) -> int:
         """Of a link's inertial parameters."""
-        return _COLUMNS[self.name]
+        return SYMBOLS.index(self.name)
 
     @property
     def of_record(self) -> bool:
@@ -201,8 +200,8 @@ class Numbers:
             return False
         for i, bands in enumerate(masses):
             rest, last = bands[0], bands[-1]
-            inertia, _, _, _, grip, grip_back, winds, *_ = rest
-            drift, share = rest[kernels.COULOMB_DRIFT], rest[kernels.PER_TORQUE]
+            inertia, _, _, _, grip, grip_back, *_ = rest
+            drift, share, winds = rest[kernels.COULOMB_DRIFT], rest[kernels.PER_TORQUE], rest[kernels.WINDING]
             faded = min(grip, grip_back) + min(drift, 0.0) * duration
             cone = grip + grip_back >= 0.0 and (drift >= 0.0 or faded >= 0.0)
             mass = (i < links or inertia > 0.0) and winds >= 0.0 and 0.0 <= share < 1.0
@@ -316,10 +315,8 @@ def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[AnyArray]
 
 def _lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], side: str) -> AnyArray:
     """Mass per friction band, (bands, MASS + 1); complex for complex values."""
-    own = law.beside(values, side)
-    length, *beside = (own[name] for name in COLUMNS)
-    winds = 1.0 / length if length != 0.0 else 0.0
-    return np.array([[inertia, offset, *lines, winds, *beside, high] for high, lines in law.bands(values, side)])
+    beside = law.numbers(values, side)
+    return np.array([[inertia, offset, *lines, *beside, high] for high, lines in law.bands(values, side)])
 
 
 def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
@@ -330,7 +327,9 @@ def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
     rows = []
     for i, piece in enumerate(law.pieces(values)):
         held, begin = piece.torque - piece.stiffness * piece.deflection, piece.deflection + i * _THIN
-        rows.append([piece.stiffness, piece.damping, cubic, slips, held, begin, slides, *[0.0] * (MASS - BEGIN - 2)])
+        row = [piece.stiffness, piece.damping, cubic, slips, held, begin, *[0.0] * (MASS - BEGIN - 1)]
+        row[kernels.WINDING] = slides
+        rows.append(row)
     return np.array(rows)
 
 

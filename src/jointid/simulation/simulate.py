@@ -361,15 +361,7 @@ class Simulation:
 
 
 def choose_steps(tree: Tree, references: FloatArray, length: float, plant: Plant, inertials: FloatArray) -> int:
-    """Steps per `length` that keep the robot's fastest motion within 0.5 rad.
-
-    Args:
-        tree: of the links.
-        references: (samples, n) approximate positions of the shafts.
-        length: s.
-        plant: masses and springs.
-        inertials: of the links.
-    """
+    """Steps per `length`, s, that keep a robot's fastest motion along references, (samples, n), within 0.5 rad."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
     n, size, fastest = len(inertials), len(plant.masses), 0.0

@@ -21,17 +21,17 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, names_of
 from jointid.simulation.simulate import run_loop
 
+_RIGID = RigidJoint("revolute")
 _AT_REST = Record(reference=Channel(np.zeros(10), "rad", 1e-3))
 
 
-def warm_up(joint: Joint | None = None, *, derivatives: bool = True) -> None:
+def warm_up(joint: Joint = _RIGID, *, derivatives: bool = True) -> None:
     """Compile a joint's simulation (by default linear laws), or load the cache.
 
     Args:
         joint: with the laws to compile; other laws are compiled at their first use.
         derivatives: also those of the derivatives.
     """
-    joint = joint or RigidJoint("revolute")
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     # With an offset it would leave the range of its reference, and there would be no derivatives.
     values = dict.fromkeys(names_of(joint), 1.0) | {"offset": 0.0}
@@ -56,7 +56,7 @@ def compile_robot() -> None:
 
 def main() -> None:
     """Compile all kernels, in two processes."""
-    joints = RigidJoint("revolute"), FlexibleJoint("revolute", friction=Friction("presliding"))
+    joints = _RIGID, FlexibleJoint("revolute", friction=Friction("presliding"))
     with ProcessPoolExecutor(2) as pool:
         tuple(pool.map(call, (compile_robot, *(partial(warm_up, joint) for joint in joints))))
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.models.friction import COLUMNS
+from jointid.models import friction
 
 IndexArray: TypeAlias = NDArray[np.uint64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -19,13 +19,13 @@ LANES = 8
 """Columns followed at a time: one vector of a wide machine, two of others."""
 
 # Columns of a mass in a band of its speed: inertia, constant friction, viscous coefficients and Coulomb forces of both
-# directions, the inverse of the displacement over which the latter wind up (0 of one that sticks), what both grow by
-# per second, what the second grows by per torque that the mass carries, further numbers of its law, and the speed at
-# which the band ends.
+# directions, what both grow by per second, what the second grows by per torque that the mass carries, the law by which
+# it winds up, the inverse of the displacement over which (0 of one that sticks), further numbers of that law, and the
+# speed at which the band ends.
 INERTIA, OFFSET, VISCOUS, VISCOUS_BACK, COULOMB, COULOMB_BACK = range(6)
-WINDING, VISCOUS_DRIFT = COLUMNS["presliding_distance"], COLUMNS["viscous_drift"]
-COULOMB_DRIFT, PER_TORQUE = COLUMNS["coulomb_drift"], COLUMNS["friction_per_torque"]
-MASS = HIGH = 6 + len(COLUMNS)
+VISCOUS_DRIFT, COULOMB_DRIFT = friction.COLUMNS["viscous_drift"], friction.COLUMNS["coulomb_drift"]
+PER_TORQUE, WINDING = friction.COLUMNS["friction_per_torque"], friction.WINDING
+MASS = HIGH = friction.WIDTH
 # Columns of a spring in a piece of its deflection, of either sign: stiffness, damping, cubic stiffness, limit of its
 # slider, the torque of the piece's line at no deflection, and where the piece begins. Its slider is WINDING, too.
 STIFFNESS, DAMPING, CUBIC, SLIPS, HELD, BEGIN = range(6)

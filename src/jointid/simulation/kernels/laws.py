@@ -1,9 +1,9 @@
 """The laws of friction, springs and forces of a position, compiled: of each its force and the partials of that.
 
 A law is a row of numbers (`kernels`), in which its force is linear but for a winding length and a wave. The
-simulation takes the forces, its derivatives the partials. What winds up over a displacement is a state w of its own, of
-friction by `models.friction.wind_up`. Its steps are exponential: exact where the rate is linear in w, as in the law of
-P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976), and elsewhere of order 3.
+simulation takes the forces, its derivatives the partials. What winds up over a displacement is a state w of its own, by
+one of `models.friction.WINDS`. Its steps are exponential: exact where the rate is linear in w, as in the law of P. R.
+Dahl (Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976), and elsewhere of order 3.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, inline_kernel
-from jointid.models import friction as friction_laws
+from jointid.models.friction import LAW, WINDS
 from jointid.simulation.kernels import (
     COS,
     COULOMB,
@@ -48,7 +48,13 @@ def take_piece(springs: FloatArray, s: int, piece: int, spring: FloatArray) -> N
     spring[s, HELD] *= -1.0 if piece < 0 else 1.0
 
 
-wind_up = inline_kernel(friction_laws.wind_up)
+def _either(number: int, law: Any, other: Any) -> Any:
+    return inline_kernel(lambda row, i, *of: law(row, i, *of) if row[i, LAW].real == number else other(row, i, *of))
+
+
+wind_up, *_more = map(inline_kernel, WINDS)
+for _number, _law in enumerate(_more, 1):
+    wind_up = _either(_number, _law, wind_up)
 
 
 @inline_kernel
@@ -122,9 +128,9 @@ def fastest_rate(
     nd, square, rate = q.size, 0.0, 0.0
     for i in range(nd):
         rate += max(abs(mass[i, VISCOUS]), abs(mass[i, VISCOUS_BACK])) * mobility[i]
-        left = abs(modes[i] - w[i])
-        if mass[i, WINDING] > 0.0 and left > _WINDS:
-            square += grip[i] * left * mass[i, WINDING] * mobility[i]
+        tangent = abs(wind_up(mass, i, modes[i], modes[i], w[i])[0])
+        if tangent > _WINDS * mass[i, WINDING]:
+            square += grip[i] * tangent * mobility[i]
             rate += abs(wind_up(mass, i, modes[i], v[i], w[i])[1])
     for s in range(pairs.shape[0]):
         one, two = pairs[s, 0], pairs[s, 1]
