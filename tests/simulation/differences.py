@@ -68,16 +68,9 @@ def simulate_moved(
 
 
 def error_beside_differences(
-    columns: tuple[FloatArray, ...],
-    loop: ClosedLoop,
-    record: Record,
-    values: dict[str, float],
-    name: str,
-    steps: tuple[float, ...],
-    start: Initial = AT_REST,
-    *,
-    back: float = 1.0,
-) -> float:
+    columns: tuple[FloatArray, ...], loop: ClosedLoop, record: Record, values: dict[str, float], name: str,
+    steps: tuple[float, ...], start: Initial = AT_REST, *, back: float = 1.0,
+) -> float:  # fmt: skip
     """Return the relative error of derivatives, of the best step; the worst of torque, motor and load position.
 
     A difference has an error of its own: rounding where the step is short, curvature where it is long.

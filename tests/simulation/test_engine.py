@@ -70,10 +70,8 @@ def test_a_gap_of_nothing_is_a_linear_spring() -> None:
 
 
 def test_friction_that_grows_with_the_load_is_in_balance_at_the_first_sample() -> None:
-    law, values = (
-        FRICTIONS["load-dependent"],
-        {"load_viscous": 0.0, "load_coulomb": 2.0, "load_friction_per_torque": 0.2},
-    )
+    law = FRICTIONS["load-dependent"]
+    values = {"load_viscous": 0.0, "load_coulomb": 2.0, "load_friction_per_torque": 0.2}
     for velocity, load in ((1.0, 50.0), (-1.0, 50.0), (1.0, -50.0), (-1.0, 0.5)):
         drag = law.drag(values, velocity, load, "load_")
         assert drag == pytest.approx(np.sign(velocity) * (2.0 + 0.2 * abs(load + drag)))

@@ -53,23 +53,24 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
     """
     experiment, clock = kept.experiment, kept.experiment.clock
     shown = min(kept.start.places.size, 2) if positions else 0
-    torques = [np.zeros((clock.samples, len(keys))) for _ in experiment.axes]
-    moved = np.zeros((clock.samples, shown, len(keys)))
+    torques = [np.empty((clock.samples, len(keys))) for _ in experiment.axes]
+    moved = np.empty((clock.samples, shown, len(keys)))
     if kept.outcome is not Outcome.FINISHED:
-        return torques, moved
+        return [np.zeros_like(one) for one in torques], np.zeros_like(moved)
     wide = LANES if kept.path.straight else -(-max(len(keys), 1) // LANES) * LANES  # rows in whole vectors
-    for first in range(0, max(len(keys), 1), wide):
-        some = keys[first : first + wide]
-        filled, last = (*some, *[_NOBODY] * (wide - len(some))), first + len(some)
-        begun = start_slopes(experiment, kept.carried, kept.start, filled)
+    filled = (*keys, *[_NOBODY] * (-len(keys) % wide if keys else wide))
+    first_slopes = start_slopes(experiment, kept.carried, kept.start, filled)
+    for first in range(0, len(filled), wide):
+        some, last = keys[first : first + wide], min(first + wide, len(keys))
+        begun = [one[..., first : first + wide].copy() for one in first_slopes]
         of_law = [c for c, key in enumerate(some) if key not in kept.numbers and key.name not in (*INITIAL, DELAY)]
         explicit = [(c, some[c].axis, *_explicit(kept, some[c])) for c in of_law]
-        command, states = _follow(kept, filled, begun, explicit, positions)
+        command, states = _follow(kept, filled[first : first + wide], begun, explicit, positions)
         for j, (torque, each) in enumerate(zip(torques, command, strict=True)):
             torque[:, first:last] = _show(kept, j, each[:, : len(some)], some)
         if shown:
             moved[..., first:last] = states[clock.log_index, : 2 * shown : 2, : len(some)]
-    if experiment.tree is None and torques[0].size and not (-_ASTRAY < torques[0].min() <= torques[0].max() < _ASTRAY):
+    if experiment.tree is None and not np.vdot(torques[0], torques[0]) < _ASTRAY**2:
         return [np.zeros_like(torques[0])], np.zeros_like(moved)
     return torques, moved
 
@@ -77,12 +78,8 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
 def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tuple[list[FloatArray], list[FloatArray]]:
     """First-order changes of a run's logged torques under other laws.
 
-    Another law outputs another torque for the motion of the run. The loops respond to this difference as in their
-    derivatives.
-
-    Args:
-        kept: finished run with its tape.
-        changes: axis and input of each other law, with the period of the axis's own law and up to a period more delay.
+    Another law, an axis and its input with the period of its own law and up to a period more delay, outputs another
+    torque for the motion of a run with its tape. The loops respond to this difference as in their derivatives.
 
     Returns:
         Of each axis what its own law adds as the motion changes, (samples, changes); of each change the difference of
@@ -209,13 +206,7 @@ def columns_of(
     These are the regressor's columns at a known motion. Their product with the parameters is the motor's torque, and
     0 for the link of a flexible joint. Each has the indices of its parameters, (own,), and their columns,
     (samples, own), contiguous in memory.
-
-    Args:
-        tree: of the links.
-        numbers: only the laws and the Stribeck speeds are read.
-        places: of the parameters.
-        motion: of all masses.
-        rows: of the masses.
+    Of the numbers only laws and Stribeck speeds are read.
     """
     from jointid.models.robots.dynamics import regressor_of
 

@@ -79,13 +79,11 @@ def pulses(samples: int, sample_time: float, height: float, width: float, every:
     """
     random = np.random.default_rng(seed)
     signal = np.zeros(samples)
-    long = max(round(width / sample_time), 1)
-    start, sign = every, 1.0
+    long, start, sign = max(round(width / sample_time), 1), every, 1.0
     while start < samples * sample_time:
         first = round(start / sample_time)
         signal[first : first + long] = sign * height
-        sign = -sign
-        start += every * random.uniform(0.5, 1.5)
+        sign, start = -sign, start + every * random.uniform(0.5, 1.5)
     return signal
 
 
@@ -120,10 +118,8 @@ def multisine(
     _require_band(lowest, highest, sample_time)
     length = samples * sample_time
     wanted = np.geomspace(max(lowest, 1 / length), highest, max(lines, 1))
-    harmonics = np.unique(np.maximum(np.round(wanted * length), 1.0))
-    frequencies = harmonics / length
-    sizes = frequencies**-tilt
-    signal = _sum_sines(samples, sample_time, frequencies, sizes)
+    frequencies = np.unique(np.maximum(np.round(wanted * length), 1.0)) / length
+    signal = _sum_sines(samples, sample_time, frequencies, frequencies**-tilt)
     signal = (signal - signal[0]) * _ramp_ends(samples, min(1 / lowest, 0.1 * length) / sample_time)
     largest = float(np.max(np.abs(signal)))
     return np.asarray(amplitude * signal / largest) if largest > 0 else signal
@@ -174,7 +170,7 @@ def _sum_sines(samples: int, sample_time: float, frequencies: FloatArray, sizes:
 def _ramp_ends(samples: int, over: float) -> FloatArray:
     """Factor that fades in and out over `over` samples."""
     at = np.arange(samples, dtype=np.float64)
-    ramp = np.minimum(np.clip(at / over, 0.0, 1.0), np.clip(at[::-1] / over, 0.0, 1.0))
+    ramp = np.clip(np.minimum(at, at[::-1]) / over, 0.0, 1.0)
     return np.asarray(ramp * ramp * (3 - 2 * ramp))
 
 

@@ -91,12 +91,21 @@ class Numbers:
             spring. Numbers of a record, or of drives, may be among them: see `OF_RECORD`; others are not read.
         inertials: (n, 10) of a robot's links; (0, 10) of a joint.
         heavy: inertia of motors without friction that follow a prescribed motion; 0 for the real motors.
+        rows: masses per axis: motor, load, swinging part; robots' links precede flexible rotors.
     """
 
     joints: tuple[Joint, ...]
     values: tuple[Mapping[str, Any], ...]
     inertials: FloatArray = field(default_factory=lambda: np.zeros((0, 10)))
     heavy: float = 0.0
+    rows: list[list[int]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        rows = [list(range(len(self.joints[0].sides) + int(self.values[0].get("swinging_share", 0.0) > 0.0)))]
+        if len(self.inertials):
+            rotors = count(len(self.joints))
+            rows = [[next(rotors), i] if len(joint.sides) > 1 else [i] for i, joint in enumerate(self.joints)]
+        object.__setattr__(self, "rows", rows)
 
     @classmethod
     def of_joint(cls, joint: Joint, values: Mapping[str, Any]) -> Numbers:
@@ -127,15 +136,6 @@ class Numbers:
         """True for a number of robot or joint, not record or controller."""
         own = place.own in ("viscous", "coulomb", "offset") or place.name in names_of(self.joints[place.axis])
         return place.of_link or (own and place.name in self.values[place.axis])
-
-    @property
-    def rows(self) -> list[list[int]]:
-        """Masses per axis: motor, load, swinging part; robots' links precede flexible rotors."""
-        if not len(self.inertials):
-            swings = self.values[0].get("swinging_share", 0.0) > 0.0
-            return [list(range(len(self.joints[0].sides) + int(swings)))]
-        rotors = count(len(self.joints))
-        return [[next(rotors), i] if flexible else [i] for i, flexible in enumerate(self.flexible.tolist())]
 
     @property
     def sides(self) -> list[tuple[int, str]]:

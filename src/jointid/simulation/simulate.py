@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -202,7 +202,8 @@ def integrate(
 
     axes, clock = loop.post.shape
     parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
-    array, command = (room or Room()).array, np.zeros((axes, clock))  # never in a room: it may be an answer
+    array: Any = room.array if room is not None else lambda _, *of: np.empty(*of)
+    command = np.zeros((axes, clock))  # never in a room: it may be an answer
     excess = array("excess", (axes, periods if keep else 0, elements))
     excess[:] = 0.0
     followed, modes = clock * parts if keep and straight else 0, 0

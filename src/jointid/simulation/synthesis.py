@@ -102,14 +102,13 @@ def simulated_record(
     def channel(array: ArrayLike, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
         return Channel(np.asarray(array, dtype=np.float64), unit, sample_time, timing, name)
 
+    given = None if injected is None else channel(injected, force, Timing.HELD)
     driven = Record(
         torque=channel(np.zeros(np.size(reference)), force, Timing.HELD),
         tap=Tap(tap),
         reference=channel(reference, position),
         reference_velocity=None if reference_velocity is None else channel(reference_velocity, f"{position}/s"),
-        injected=None
-        if injected is None
-        else Injection(channel(injected, force, Timing.HELD), InjectionPoint(at), in_torque),
+        injected=None if given is None else Injection(given, InjectionPoint(at), in_torque),
         name=name,
     )
     experiment = forced = prepare(loop, driven)
@@ -121,8 +120,7 @@ def simulated_record(
                 f"{np.size(disturbance)}: give as many."
             )
         extra = np.repeat(np.asarray(disturbance, dtype=np.float64), axis.clock.skips)
-        extra = extra[:: axis.clock.shows][: axis.periods]
-        forced = experiment.alone(axis.push(extra))
+        forced = experiment.alone(axis.push(extra[:: axis.clock.shows][: axis.periods]))
     found = require_success(simulate(loop, forced, values, initial))
     # A force from outside is in no current of the motor, though it acts as an injected signal does.
     torque = found.torque - to_log(axis, forced.axis.shown - axis.shown)

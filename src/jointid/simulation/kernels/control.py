@@ -39,7 +39,7 @@ def control_any(
 
     At its limit an element puts out that limit to the last bit: the derivatives ask whether it is there.
     """
-    phase, nz = k % loop.A.shape[1], z.shape[1]
+    phase, nz = k % loop.A.shape[1] if loop.A.shape[1] > 1 else 0, z.shape[1]  # a division takes as long as the rest
     for i in range(cut.size):
         value = loop.w[joint, i, k] + loop.D[joint, phase, i] * q
         for j in range(nz):
@@ -84,8 +84,8 @@ def control_slopes(
     Where a limit acts its value follows the limit alone, and where a gate is closed nothing passes. `dq` are those of
     the masses' positions, `excess` is what limits and gates take away; `fresh`, `raw` and `taken` are scratch.
     """
-    phase, elements, count, dz, output = own % loop.A.shape[1], raw.shape[0], raw.shape[1], dzs[axis], loop.output[axis]
-    states = dz.shape[0]
+    elements, count, dz, output, phases = raw.shape[0], raw.shape[1], dzs[axis], loop.output[axis], loop.A.shape[1]
+    phase, states = own % phases if phases > 1 else 0, dz.shape[0]
     for e in range(elements):
         for c in range(count):
             raw[e, c] = loop.D[axis, phase, e] * dq[motor, c]

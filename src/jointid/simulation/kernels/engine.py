@@ -32,9 +32,8 @@ from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
-from jointid.simulation.kernels import FINISHED, FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, affine
+from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, affine, laws
 from jointid.simulation.kernels.control import control_any, small_law
-from jointid.simulation.kernels.laws import fastest_rate, friction, place_force, spring_torque, take_piece, wind
 
 REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
 _MANY = 1000.0  # rad of a part that show a drive that is too stiff
@@ -77,7 +76,7 @@ def accelerate(
     mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
     M: FloatArray, inverse: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
-    grip: FloatArray, pull: FloatArray,
+    grip: FloatArray, pull: FloatArray, turned: FloatArray,
 ) -> bool:  # fmt: skip
     """Compute accelerations, and friction at rest with its limits; False if M is not positive definite.
 
@@ -94,10 +93,10 @@ def accelerate(
             held[i] -= bias[i]
     for j in range(places.shape[0]):
         i = int(places[j, kernels.WHERE])
-        held[i] -= place_force(places, j, q[i])
+        held[i] -= laws.place_force(places, turned, j, q[i])
     for s in range(pairs.shape[0]):
         one, two = pairs[s, 0], pairs[s, 1]
-        pull[s] = spring_torque(spring, s, q[two] - q[one], v[two] - v[one], w[nd + s])
+        pull[s] = laws.spring_torque(spring, s, q[two] - q[one], v[two] - v[one], w[nd + s])
         held[one] += pull[s]
         held[two] -= pull[s]
     for i in range(nd):
@@ -105,7 +104,7 @@ def accelerate(
         way = v[i] if mode == FREE else mode
         back = 1 if way < 0.0 or (way == 0.0 and held[i] < 0.0) else 0
         carried = pull[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
-        grip[i], drag = friction(mass, i, back, carried, time)
+        grip[i], drag = laws.friction(mass, i, back, carried, time)
         held[i] -= drag * v[i] + grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode)
         a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
     positive = tree is None or invert(M, modes, inverse)
@@ -148,7 +147,7 @@ def _enter(
     nd, low, high = masses.shape[0], -np.inf, np.inf
     if i >= nd:
         s, p = i - nd, abs(at[i])
-        take_piece(springs, s, at[i], spring)
+        laws.take_piece(springs, s, at[i], spring)
         low = springs[s, p, kernels.BEGIN]
         high = springs[s, p + 1, kernels.BEGIN] if p + 1 < springs.shape[1] else np.inf
         if at[i] <= 0:
@@ -288,7 +287,7 @@ def _go_to_stage(
     a1: FloatArray, q1: FloatArray, v1: FloatArray,
 ) -> None:  # fmt: skip
     """Write the state of a stage, from the accelerations of those before; the last is the end of the step."""
-    half = 0.5 * d
+    half, sixth = 0.5 * d, d / 6.0
     for i in range(q.size):
         if stage == 0:
             q1[i], v1[i] = q[i] + half * v[i], v[i] + half * a[i]
@@ -300,8 +299,8 @@ def _go_to_stage(
             q1[i], v1[i] = q[i] + d * (v[i] + half * second[i]), v[i] + d * a1[i]
         else:
             between = second[i] + third[i]
-            q1[i] = q[i] + d * v[i] + d * d / 6.0 * (a[i] + between)
-            v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between + a1[i])
+            q1[i] = q[i] + d * (v[i] + sixth * (a[i] + between))
+            v1[i] = v[i] + sixth * (a[i] + 2.0 * between + a1[i])
 
 
 @compile_kernel
@@ -341,6 +340,7 @@ def run(
     q1, v1, w1, a1, held1, grip1 = q.copy(), v.copy(), w.copy(), a.copy(), a.copy(), a.copy()
     drive, mobility, second, third = a.copy(), a.copy(), a.copy(), a.copy()
     pull, modes, at, bounds = np.zeros(ns), w.copy(), np.zeros(nd + ns, dtype=np.int64), np.zeros((nd + ns, 2))
+    turned = np.zeros((places.shape[0], 3))
     mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.MASS))
     guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
     M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
@@ -371,7 +371,8 @@ def run(
         equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
         for i in range(links):
             M[i, i] += mass[i, kernels.INERTIA]
-    events, steps, rows, status, k, fastest, work = 0, 0, 1, FINISHED, 0, rate, _OF_LINES if path.straight else _WORK
+    events, steps, rows, k, fastest, status = 0, 0, 1, 0, rate, kernels.FINISHED
+    work = _OF_LINES if path.straight else _WORK
     # The maps of lines in pieces, and a law of one element, one phase and two states at most, which glides by them.
     straight, states, kept_modes, rates = path
     maps, part, bands, pieces = rates.shape[0], 0, masses.shape[1], springs.shape[1]
@@ -380,11 +381,11 @@ def run(
     small = straight and parts == 1 and z.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
     law = small_law(loop, z.shape[1] if small else 0)
     if straight:
-        fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
-        status = FINISHED if longest * fastest <= _MANY else kernels.TOO_STIFF
+        fastest = laws.fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
+        status = kernels.FINISHED if longest * fastest <= _MANY else kernels.TOO_STIFF
     if tape.shape[0] > 0:
         _write_row(tape[0], -1, 0.0, -1, modes, at, q, v, w, a, a)
-    while k < clock and status == FINISHED:
+    while k < clock and status == kernels.FINISHED:
         limited = False
         if tree is None:  # noqa: SIM102 (it is not compiled for robots)
             if straight:
@@ -398,10 +399,10 @@ def run(
                 if k == clock:
                     break
         for j in range(axes):
-            if not straight and k % every[j] != 0:  # this controller holds
+            if not straight and every[j] > 1 and k % every[j] != 0:  # this controller holds
                 command[j, k] = command[j, k - 1]
             elif not straight:
-                own = k // every[j]
+                own = k // every[j] if every[j] > 1 else k
                 control_any(loop, j, own, q[motors[j]], z, fresh, out, cut)
                 command[j, k] = out[outputs[j]]
                 if excess.shape[1] > 0:
@@ -409,7 +410,7 @@ def run(
                 limited = limited or cut[outputs[j]] != 0.0
             if not (abs(q[motors[j]]) <= far[j] and abs(command[j, k]) < np.inf):
                 status = kernels.DIVERGED
-        if status != FINISHED:
+        if status != kernels.FINISHED:
             break
         counts[3] += 1 if limited else 0
         time, before_period = k * period, events
@@ -423,11 +424,13 @@ def run(
             left, settles = lengths[part], coupled or k == 0 or straight
             for i in range(nd):
                 settles = settles or modes[i] == 0.0 or v[i] == 0.0
-            while left > 0.0 and status == FINISHED:
+            while left > 0.0 and status == kernels.FINISHED:
+                for j in range(places.shape[0]):
+                    laws.turn_place(places, j, q[int(places[j, kernels.WHERE])], turned)
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
                         mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive, time,
-                        q, v, w, a, held, grip, pull,
+                        q, v, w, a, held, grip, pull, turned,
                     ):  # fmt: skip
                         status = kernels.NOT_POSITIVE
                         break
@@ -439,11 +442,11 @@ def run(
                     if turns and spring[s, kernels.WINDING] > 0.0:
                         modes[nd + s] = -modes[nd + s]
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
-                    fastest = fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
+                    fastest = laws.fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach
                 if not left * fastest <= _MANY or (rate == 0.0 and steps * reach > work * (clock * parts + 100)):
                     status = kernels.TOO_STIFF
-                if status != FINISHED:
+                if status != kernels.FINISHED:
                     break
                 if straight:
                     mode = affine.enter_mode(
@@ -454,7 +457,8 @@ def run(
                 h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)
                 known, dips, looks, tries = -1, False, True, 0
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
-                _watch(spring, pairs, modes, bounds, q, v, held, grip, guards)
+                if settles:  # else they are as the step before has left them
+                    _watch(spring, pairs, modes, bounds, q, v, held, grip, guards)
                 while True:
                     d = share * h
                     for stage in range(3 if straight else 0, 4):
@@ -465,22 +469,22 @@ def run(
                             _go_to_stage(stage, d, q, v, a, second, third, a1, q1, v1)
                         gone = 0.5 * d if stage < 2 else d
                         for i in range(nd if winds else 0):
-                            w1[i] = wind(mass, i, modes[i], q1[i] - q[i], gone, w[i])
+                            w1[i] = laws.wind(mass, i, modes[i], q1[i] - q[i], gone, w[i])
                         for s in range(ns if winds else 0):
                             one, two = pairs[s, 0], pairs[s, 1]
                             e = (q1[two] - q1[one]) - (q[two] - q[one])
-                            w1[nd + s] = wind(spring, s, modes[nd + s], e, gone, w[nd + s])
+                            w1[nd + s] = laws.wind(spring, s, modes[nd + s], e, gone, w[nd + s])
                         if tree is not None:
                             equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
                             for i in range(links):
                                 M[i, i] += mass[i, kernels.INERTIA]
                         if not accelerate(
                             mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive,
-                            time + gone, q1, v1, w1, a1, held1, grip1, pull,
+                            time + gone, q1, v1, w1, a1, held1, grip1, pull, turned,
                         ):  # fmt: skip
-                            status = kernels.NOT_POSITIVE
+                            status = kernels.NOT_POSITIVE if M[0, 0] == M[0, 0] else kernels.DIVERGED  # no number
                             break
-                    if status != FINISHED:
+                    if status != kernels.FINISHED:
                         break
                     steps += 1
                     tries += 1
@@ -509,7 +513,7 @@ def run(
                     # Between a guard that is positive and one that is not: the secant, its idle end halved (Illinois).
                     share = (low * below - high * above) / (below - above) if above > 0.0 else 0.5 * (low + high)
                     share = min(max(share, low + 0.3 * _ROOT), high - 0.3 * _ROOT)
-                if status != FINISHED:
+                if status != kernels.FINISHED:
                     break
                 if rows < tape.shape[0]:
                     _write_row(tape[rows], k * parts + part, d, known, modes, at, q, v, w, a, a1)
@@ -518,6 +522,7 @@ def run(
                     q[i], v[i], a[i], held[i], grip[i] = q1[i], v1[i], a1[i], held1[i], grip1[i]
                 for i in range(nd + ns):
                     w[i] = modes[i] if abs(modes[i] - w1[i]) < _WOUND_UP else w1[i]
+                assign(guards, ends)
                 time += d
                 left = 0.0 if share == 1.0 and h == left else left - d
                 settles = known >= 0
@@ -533,6 +538,6 @@ def run(
                     _write_row(tape[rows], k * parts + part, 0.0, -1, modes, at, q, v, w, a, a)
                 rows += 1
         part = part + 1 if straight and part + 1 < parts else 0
-        k += 1 if status == FINISHED and part == 0 else 0
+        k += 1 if status == kernels.FINISHED and part == 0 else 0
     counts[0], counts[1], counts[2] = events, rows, k
     return status

@@ -105,10 +105,21 @@ def friction_partials(
 
 
 @inline_kernel
-def place_force(places: FloatArray, j: int, q: float) -> float:
-    """Return a force that follows a position."""
+def turn_place(places: FloatArray, j: int, q: float, turned: FloatArray) -> None:
+    """Write where a step begins, and there the wave of a force that follows a position and its slope per phase."""
     cos, sin = math.cos(places[j, WAVE] * q), math.sin(places[j, WAVE] * q)
-    return float(places[j, COS] * cos + places[j, SIN] * sin + places[j, RATE] * q)
+    turned[j, 0], turned[j, 1] = q, places[j, COS] * cos + places[j, SIN] * sin
+    turned[j, 2] = places[j, SIN] * cos - places[j, COS] * sin
+
+
+@inline_kernel
+def place_force(places: FloatArray, turned: FloatArray, j: int, q: float) -> float:
+    """Return a force that follows a position, by series: a step turns by less than a radian."""
+    x = places[j, WAVE] * (q - turned[j, 0])
+    square = x * x
+    cos = 1.0 + square * (-1 / 2 + square * (1 / 24 + square * (-1 / 720 + square * (1 / 40320))))
+    sin = x * (1.0 + square * (-1 / 6 + square * (1 / 120 + square * (-1 / 5040 + square * (1 / 362880)))))
+    return float(turned[j, 1] * cos + turned[j, 2] * sin + places[j, RATE] * q)
 
 
 @inline_kernel
