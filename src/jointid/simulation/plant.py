@@ -26,7 +26,7 @@ from jointid.models.springs import Spring
 from jointid.simulation import kernels
 from jointid.simulation.kernels import BEGIN, HIGH, MASS, Plant, Seeds
 
-AnyArray: TypeAlias = NDArray[Any]
+Rows: TypeAlias = list[list[Any]]
 Bools: TypeAlias = NDArray[np.bool_]
 
 LOAD_STATE = ("initial_load_position", "initial_load_velocity")
@@ -173,8 +173,8 @@ class Numbers:
             row: mass for own, (of, _) in zip(rows, lowered, strict=True) for row, mass in zip(own, of, strict=True)
         }
         springs = [spring for _, of in lowered for spring in of]
-        carriers, motors = np.full(len(masses), -1), np.array(self.motors, dtype=np.uint64)
-        carriers[[behind for _, behind in pairs]] = range(len(pairs))
+        behind, motors = {two: s for s, (_, two) in enumerate(pairs)}, np.array(self.motors, dtype=np.uint64)
+        carriers = np.array([behind.get(row, -1) for row in range(len(masses))])
         whole, pieces = _stack([masses[row] for row in range(len(masses))], HIGH + 1), _stack(springs, MASS)
         for row, spring in zip(pieces, springs, strict=True):
             row[len(spring) :, BEGIN] = math.inf
@@ -261,12 +261,12 @@ class Numbers:
             joint, values = self.joints[place.axis], self.values[place.axis]
             moved = {**values, place.name: complex(values[place.name], _IMAGINARY)}
             masses, springs = lower_joint(joint, moved)
-            blocks = [*zip(self.rows[place.axis], (mass[:, :HIGH] for mass in masses), strict=True)]
+            blocks: list[tuple[int, Any]] = [*zip(self.rows[place.axis], map(np.array, masses), strict=True)]
             blocks = blocks[1:] if self.heavy else blocks
-            blocks += enumerate(springs, int(behind[place.axis]))
+            blocks += enumerate(map(np.array, springs), int(behind[place.axis]))
             blocks += enumerate(joint.places(moved)[:, np.newaxis, : kernels.WAVE], int(behind[-1]))
             for row, block in blocks:
-                slopes = np.imag(block) / _IMAGINARY
+                slopes = np.imag(block)[:, :HIGH] / _IMAGINARY
                 found += [(row, int(band), int(k), c, float(slopes[band, k])) for band, k in np.argwhere(slopes)]
         found.sort()
         rows, bands = int(behind[-1]) + len(plant.places), max(plant.masses.shape[1], plant.springs.shape[1])
@@ -290,7 +290,7 @@ def names_of(joint: Joint) -> tuple[str, ...]:
 # From the numbers of a joint to its plant
 
 
-def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[AnyArray], list[AnyArray]]:
+def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[Rows], list[Rows]]:
     """Masses of a joint, motor first, and the springs between neighbours."""
     friction, constant = joint.friction, joint.gravity_constant(values)
     if isinstance(joint, RigidJoint):
@@ -308,18 +308,18 @@ def lower_joint(joint: Joint, values: Mapping[str, Any]) -> tuple[list[AnyArray]
     ]
     springs = [_lower_spring(joint.spring, values)]
     if swings:
-        masses.append(np.array([[share * whole, *np.zeros(HIGH - 1), math.inf]]))
+        masses.append([[share * whole, *[0.0] * (HIGH - 1), math.inf]])
         springs.append(_lower_spring(Spring(), {"stiffness": stiffness, "damping": damping}))
     return masses, springs
 
 
-def _lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], side: str) -> AnyArray:
+def _lower_mass(inertia: Any, offset: Any, law: Friction, values: Mapping[str, Any], side: str) -> Rows:
     """Mass per friction band, (bands, MASS + 1); complex for complex values."""
     beside = law.numbers(values, side)
-    return np.array([[inertia, offset, *lines, *beside, high] for high, lines in law.bands(values, side)])
+    return [[inertia, offset, *lines, *beside, high] for high, lines in law.bands(values, side)]
 
 
-def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
+def _lower_spring(law: Spring, values: Mapping[str, Any]) -> Rows:
     """Spring per piece, (pieces, MASS); complex for complex values."""
     own = law.beside(values)
     cubic, slider, slips = (own[name] for name in ("cubic_stiffness", "hysteresis_stiffness", "hysteresis_torque"))
@@ -330,13 +330,13 @@ def _lower_spring(law: Spring, values: Mapping[str, Any]) -> AnyArray:
         row = [piece.stiffness, piece.damping, cubic, slips, held, begin, *[0.0] * (MASS - BEGIN - 1)]
         row[kernels.WINDING] = slides
         rows.append(row)
-    return np.array(rows)
+    return rows
 
 
-def _stack(each: Sequence[AnyArray], width: int) -> FloatArray:
+def _stack(each: Sequence[Rows], width: int) -> FloatArray:
     """Stack arrays of rows, padded with each last row."""
-    every = np.arange(max(map(len, each), default=1))
-    return np.array([one[np.minimum(every, len(one) - 1)] for one in each]).reshape(-1, every.size, width)
+    size = max(map(len, each), default=1)
+    return np.array([one + one[-1:] * (size - len(one)) for one in each]).reshape(-1, size, width)
 
 
 # A robot and its numbers

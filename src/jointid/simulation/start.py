@@ -165,7 +165,7 @@ class Steady:
         for _ in range(_SETTLING):
             found = self.balance(at)
             missing = at - found[:n]
-            if not _AT_REST * (1.0 + float(np.max(np.abs(at)))) < float(np.max(np.abs(missing))) < math.inf:
+            if not _AT_REST * (1.0 + float(abs(at).max())) < float(abs(missing).max()) < math.inf:
                 break
             slopes = np.eye(n) - self._by_links(at, found)[:n]
             upright = np.min(np.linalg.eigvals(slopes).real) >= _LEAST
@@ -227,7 +227,7 @@ class Steady:
             if behind:
                 torque += values.get("load_offset", 0.0) if speed else 0.0  # a part of its friction
                 torque += joint.friction.drag(values, speed, torque, "load_")
-                deflections[j] = joint.springs[0].deflection(values, torque)
+                deflections[j] = joint.springs[0].deflection(values, torque) if torque else 0.0
             torque += values[f"{motor}inertia"] * float(self.accelerations[j]) + values["offset"]
             weights[j] = torque + joint.friction.drag(values, speed, torque, motor)
         motors = self.free + (weights - self.pushed) / self.soft
