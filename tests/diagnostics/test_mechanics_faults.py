@@ -235,6 +235,6 @@ def test_what_is_not_excluded_widens_the_intervals() -> None:
         axis: Any = SimpleNamespace(faults=faults, repeats=repeats)
         return dict(next(widen_for_faults(axis, rows), ({}, ""))[0])
 
-    wide = {"stiffness": 20.0, "damping": 0.1}
+    wide = {"stiffness": -20.0, "damping": 0.1}
     assert widened(None, found) == widened(replace(number, law=law)) == widened(number, repeats=True) == wide
     assert widened(number) == widened(None) == {}
