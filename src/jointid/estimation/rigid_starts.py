@@ -127,6 +127,7 @@ def _regress(
     torques: FloatArray,
     positions: FloatArray,
     delays: Sequence[float],
+    most: float = _MOST,
 ) -> FloatArray:
     """Parameters by IDIM on guessed motor motions, (samples, n), without their ends."""
     borders = _BORDERS if len(torques) > _SHORT else 0
@@ -137,7 +138,7 @@ def _regress(
     assert cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
     weights = np.column_stack([steady_weights(v, cutoff, motion.sample_time)[1] for v in motion.v.T])
-    if np.mean(weights) >= _MOST:  # else what is left tells less than what friction at rest bends
+    if np.mean(weights) >= most:  # else what is left tells less than what friction at rest bends
         motion = replace(motion, moving=weights)
     fixed = {p.name: p for p in parameters if not p.free}
     return solve_rows(inverse.rows([inverse.turn(motion)]), "weighted", fixed, turns=_REWEIGHTINGS).values
@@ -214,25 +215,24 @@ def first_state(problem: ClosedLoopProblem, position: FloatArray) -> dict[str, f
 def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Record]) -> FloatArray:
     """Start of a search, (free,), by inverse model on the controllers' motion.
 
-    If a controller cannot be inverted, the commanded motion is taken. A start of regular inertias is not tried: its
-    M(q) may not be positive definite in a pose.
+    Rows at rest are left out first, then kept: what switches brings the modes of springs down to what is slow. If a
+    controller cannot be inverted, the commanded motion is taken. Regular inertias may have no positive M(q).
     """
     log, parameters, failures = problem.log, problem.parameters, list[str]()
     experiment, inverse = log.experiment, inverse_of_robot(loop.robot, problem.parameters)
     commanded = experiment.references[experiment.clock.log_index // experiment.clock.lengths.size]
     delays = [one.law.delay for one in experiment.axes]
-    for name in ("inversion", "reference"):
+    for name, most in (("inversion", _MOST), ("inversion", np.inf), ("reference", _MOST)):
         torques, positions = log.measured.copy(), commanded.copy()
+        each = zip(loop.robot.links, loop.controllers, records, strict=True)
         try:
-            for j, (link, controller, record) in enumerate(
-                zip(loop.robot.links, loop.controllers, records, strict=True)
-            ):
+            for j, (link, controller, record) in enumerate(each):
                 # Of a slow controller the log shows each output many times.
                 if name == "inversion" and experiment.axes[j].clock.shows == 1:
                     joint = RigidJoint(link.kind)
                     alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
                     torques[:, j], positions[:, j] = (one[: len(torques)] for one in _turn_round(alone))
-            found = _regress(problem, inverse, parameters.parameters, torques, positions, delays)
+            found = _regress(problem, inverse, parameters.parameters, torques, positions, delays, most)
         except MethodError as error:
             failures.append(str(error))
             continue
@@ -244,7 +244,7 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
     units = ", in SI units and not in a drive's whole numbers," if any(one.computed for one in records) else ","
     raise MethodError(
         "The robot cannot be simulated where its search begins: "
-        + " ".join(failures)
+        + " ".join(dict.fromkeys(failures))
         + f" Check the controllers' gains{units} and their period where "
         "they run faster than the log, the signs and units of torques and references, and the joints' places."
     )
