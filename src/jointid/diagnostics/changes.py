@@ -9,8 +9,7 @@ To add one, write its correction, its text and its row.
 
 Laws that a drive may run instead of the declared one, with the same settings, are rows, too; `list_variants` yields
 them. An integral may sum up the present error: a PI of 1 kHz and 20 ms is then 5 % stiffer, and the stiffness that is
-identified under the other law wrong by 6 % without a worse fit. A faster drive reacts earlier, and fills its reference
-in. A reference that is averaged is late by half that time, as one is behind a torque that lags in the current loop.
+identified under the other law wrong by 6 % without a worse fit. An averaged reference is late by half that time.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _INTEGRALS = (1e-3, 0.01, 0.1, 0.5, 2.0, 10.0, 100.0, 1e3)  # times a declared g
 _MINUTE = 60.0  # s: a gain is given in 1/s, or in 1/min
 _NEW_INTEGRALS = (1.0, 10.0, 100.0)  # 1/s, of what they act beside, where none is declared
 _LATE = (1.0, 3.0, 8.0)  # periods of a delay or a filter
-_NOTCHES = (0.025, 0.05, 0.1, 0.2)  # of the log's frequency: centres of a notch
+_NOTCHES = (0.2, 0.4, 0.8, 1.6)  # of the band of the fit: centres of a notch
 _TIMES = (0.1, 0.125, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0)  # times the sample time: rates that drives log at
 _FACTORS = tuple(10 ** (k / 3) for k in range(-18, 19))  # of the loop's gain: also of the square of a gear's ratio
 _SCALES = tuple(10 ** (k / 2) for k in range(-8, 9))  # of the torque, beside an injected signal
@@ -50,6 +49,7 @@ _SMALL = math.log(1.5)  # a factor that is nearer to 1 is left to its test, whic
 _HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
 _NO_TIME = 1e-6  # s: no drive keeps so short a time
 _TIME = "velocity_filter.time_constant"
+NOTCH_DEPTH = "torque_filters.0.depth"
 _IS_ABOUT = "{name} is about {shown}, not {declared}"
 
 
@@ -207,9 +207,9 @@ def _try_filter(name: str, case: Case) -> Iterator[Case]:
         more = replace(law, torque_filters=(first, *law.torque_filters))
         yield case.under(more).at("torque_filters.0.time_constant", late)
     elif name == "notch" and hasattr(law, "torque_filters"):
-        each = [share / case.torque.sample_time for share in _NOTCHES]
+        each = [share * (case.filtering.cutoff or 0.0) for share in _NOTCHES]
         more = replace(law, torque_filters=(Notch(each[0], each[0]), *law.torque_filters))
-        free = (*case.beside, "torque_filters.0.bandwidth")
+        free = (*case.beside, "torque_filters.0.bandwidth", NOTCH_DEPTH)
         yield replace(case, beside=free).under(more).at("torque_filters.0.frequency", each)
 
 

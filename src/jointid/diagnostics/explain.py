@@ -4,8 +4,8 @@ Sensitivities show small deviations of one number (`search`). For a large one, a
 large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
 identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
-Of each case the best start is followed for a few steps; those far behind the best case are given up. A flexible
-joint is first identified as rigid, far below its resonance; only the remaining cases are fitted to the whole band.
+Of each case the best start is followed for a few steps; poor cases are given up. A flexible joint is first identified
+as rigid, far below its resonance; the rest are fitted to the whole band with a mode, then at the joint of the best.
 
 The search assumes one mistake. A number may absorb much of two: so the residual of a cause must be about that of free
 linear responses to the reference (`model_free`), and the likeliest fault beside it may not be an impossible one.
@@ -29,7 +29,7 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
 from jointid.diagnostics import model_free
-from jointid.diagnostics.changes import Case, Cause, is_small, list_changes
+from jointid.diagnostics.changes import NOTCH_DEPTH, Case, Cause, is_small, list_changes
 from jointid.diagnostics.score import LEVEL, SolvedLoop
 from jointid.diagnostics.search import is_gross
 from jointid.diagnostics.suspects import Finding
@@ -60,7 +60,7 @@ _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong 
 _MORE, _MORE_OF_POSITION = 1.15, 1.4
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
-_AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
+_AS_GOOD, _NOTCH = 1.1, 1.01  # times the least error: it may be the cause, too; a notch, of more numbers, is no better
 _UNRELATED = 0.95  # of the torque: so much that is no response to the reference is another signal's
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, or of no response said
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
@@ -173,10 +173,9 @@ def find_failure_causes(
     """Causes of a failed identification; None without a loop or a search."""
     if loop is None or any(getattr(record, name) is None for name in loop.channels) or any(still_faults(record)):
         return None
-    try:
+    with contextlib.suppress(*FAILS):  # the error of the identification counts
         return find_causes(part_of(record), loop, progress=progress, free=free)
-    except FAILS:  # the error of the identification counts
-        return None
+    return None
 
 
 def explain_failure(
@@ -230,11 +229,12 @@ def find_causes(
         filtering, names = estimate.settings.filtering, {*numbers_of(loop.controller), *OF_LOG}
         free = [row.name for row in estimate.rows if row.name in names and not row.of_joint]
     declared = Case(record, loop, filtering, beside=tuple(one for one in free if one not in INITIAL))
-    declared = _begin(replace(declared, filtering=filtering.resolve(declared.torque.sample_time, loop.joint.model)))
-    posed, record = _pose(declared, loop), declared.record
+    declared = replace(declared, filtering=filtering.resolve(declared.torque.sample_time, loop.joint.model))
+    posed = _pose(declared, loop)
     responses = 0.0 if posed is None else model_free.find_unexplained_share(posed, declared.reference.values)
     if responses > _UNRELATED and not loop.joint.forces:  # those of the position answer no reference
         return Causes(left, unexplained=responses)
+    declared = _begin(declared)
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
     flexible = loop.joint.model == "flexible"  # and rigid far below its resonance
@@ -242,10 +242,12 @@ def find_causes(
     if flexible:
         near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
         fits = _race([_list_flexible_starts(one) for one in near])
+        # The joint of the best case is nearer to that of the right one than any start with a mode.
+        fits = sorted([*fits, *_race([_list_flexible_starts(one, fits[0]) for one in fits])], key=lambda one: one.error)
     as_declared = [fit for fit in fits if fit.case.change is None]
     left = min((left, *(fit.error for fit in as_declared)))
     for fit in fits[:1]:
-        responses = model_free.find_unexplained_share(fit.problem, fit.case.reference.values)
+        responses = model_free.find_unexplained_share(fit.problem, fit.case.reference.values) or responses
     candidates = [
         replace(cause, left=fit.error)
         for fit in fits
@@ -255,7 +257,7 @@ def find_causes(
     least = min((one.left for one in candidates), default=math.inf)
     if not flexible or least > _MORE * responses:
         with contextlib.suppress(*FAILS):
-            moved = replace(record, motor_position=record.reference, load_position=None)
+            moved = replace(declared.record, motor_position=declared.record.reference, load_position=None)
             one = identify_record(moved, DriveSide(loop.joint) if flexible else loop.joint, None, declared.filtering)
             words = "the channel given as the reference is the motor's position"
             candidates.append(Cause("reference_is_position", words, left=one.fit.filtered_error))
@@ -267,7 +269,8 @@ def find_causes(
                 mode = loop.joint.flexible.frequencies(bent.problem.values(bent.x))["free_free"]
                 words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
                 candidates += [Cause("flexible", words, mode, bent.error)] * (bent.error * _FAR_MORE <= least)
-    explaining = _explaining(sorted(candidates, key=lambda one: one.left), left, declared)
+    candidates.sort(key=lambda one: one.left * (_NOTCH if one.name == "notch" else 1.0))
+    explaining = _explaining(candidates, left, declared)
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
@@ -320,7 +323,7 @@ def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tup
         return ()
     found: dict[str, Cause] = {}
     for one in candidates:
-        if one.left <= _AS_GOOD * best.left and not is_small(one, declared):
+        if one.left <= _AS_GOOD * best.left and not is_small(one, declared) and (one is best or one.name != "notch"):
             found.setdefault(one.name, one)
     return tuple(found.values())[:3]
 
@@ -407,18 +410,21 @@ def _list_rigid_starts(case: Case) -> Iterator[Fit]:
                 yield from _delayed(case, problem, values)
 
 
-def _list_flexible_starts(rigid: Fit) -> Iterator[Fit]:
-    """Yield starts with modes, near the rigid fit's number and at others."""
-    case, values = rigid.case, rigid.problem.values(rigid.x)
+def _list_flexible_starts(fit: Fit, best: Fit | None = None) -> Iterator[Fit]:
+    """Yield starts near a fit's number and at others: with modes of its rigid joint, or the joint of the best fit."""
+    case, values = fit.case, fit.problem.values(fit.x)
     known = case.free in case.numbers and values[case.free] > _VANISHES * min(case.starts)
     near = [values[case.free] * by for by in _NEAR] if known else []
     case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= 10 else ())))
+    values = values if best is None else best.problem.values(best.x)
+    inertia = values["inertia"] if best is None else values["motor_inertia"] + values["load_inertia"]
     for posed in filter(None, (_pose(case, loop) for loop in case.loops)):
-        motor = replace(posed.joint.parameters[0], lower=_LIGHTEST * values["inertia"])
+        motor = replace(posed.joint.parameters[0], lower=_LIGHTEST * inertia)
         problem = posed.replace_parameters({motor.name: motor})
-        modes = frequencies_to_try(problem.axis.law, values["inertia"], problem.sample_time)[::_APART]
-        for hertz, share in itertools.product(modes, _SHARES):
-            yield from _delayed(case, problem, start_with_mode(problem, values, hertz, share))
+        modes = frequencies_to_try(problem.axis.law, inertia, problem.sample_time)[::_APART]
+        joints = (start_with_mode(problem, values, *one) for one in itertools.product(modes, _SHARES))
+        for joint in joints if best is None else [values]:
+            yield from _delayed(case, problem, joint)
 
 
 def _delayed(case: Case, problem: ClosedLoopProblem, values: dict[str, float]) -> Iterator[Fit]:
@@ -443,6 +449,7 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
                 loop = replace(loop, controller=replace(law, period=slower))
     if low and isinstance(loop.joint, FlexibleJoint):
         loop = replace(loop, joint=loop.joint.rigid)
+        around = [one for one in around if one != NOTCH_DEPTH]  # a free notch imitates the load's antiresonance
         filtering = Filtering(cutoff=rigid_cutoff(case.record, least=_SWINGS)).resolve(log)
     try:
         problem = torque_problem(case.record, loop, filtering, loop.joint.parameters)

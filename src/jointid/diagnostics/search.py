@@ -322,9 +322,8 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
     late, near = find(law, suspects.REFERENCE_DELAY.name, law.reference_delay, x)
     more = late - law.reference_delay
     mean = period * max(round(2.0 * more / period + 1.0), 2)
-    laws = [
-        (changes.change_time(law, *one), near) for one in ((changes.AVERAGED, mean), (suspects.REFERENCE_DELAY, late))
-    ]
+    times = (changes.AVERAGED, mean), (suspects.REFERENCE_DELAY, late)
+    laws = [(changes.change_time(law, *one), near) for one in times]
     if more > 0.0 and not getattr(law, "torque_filters", True):
         with contextlib.suppress(JointidError):  # the lag vanishes
             lagging = changes.change_time(law, suspects.TORQUE_FILTER, more).controller
@@ -372,10 +371,9 @@ def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]
         if one.as_likely(max(kin, key=lambda other: other.likelihood)):
             finding = find_other_law(found, one)
             sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
-            moving.append(
-                (sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0), finding)
-            )
-    return [one for *_, one in sorted((one for one in moving if one[1] > INTERVAL), key=lambda one: one[:2])[-1:]]
+            most = max(sizes.values(), default=0.0)
+            moving += [(sizes.get("stiffness", sizes.get("inertia", 0.0)), most, finding)] * (most > INTERVAL)
+    return [one for *_, one in sorted(moving, key=lambda one: one[:2])[-1:]]
 
 
 # Of a robot

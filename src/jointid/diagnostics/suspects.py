@@ -307,9 +307,8 @@ def _call(*faults: Fault) -> str:
 
 def _push(seen: Seen) -> Columns:
     """Yield a constant force on a joint that is declared without one."""
-    if seen.loop is not None and any(
-        p.name == "offset" and not p.free and not p.start for p in seen.loop[0].parameters
-    ):
+    parameters = () if seen.loop is None else seen.loop[0].parameters
+    if any(p.name == "offset" and not p.free and not p.start for p in parameters):
         yield None, seen.force(-np.ones(seen.position.size))
 
 
@@ -327,13 +326,9 @@ def _limit(seen: Seen) -> Columns:
         yield from ((one, np.sign(seen.asked) * np.maximum(np.abs(seen.asked) - one, 0.0)) for one in levels)
         return
     problem, x = seen.loop
-    if not hasattr(problem.loop.controller, "limit") or any(p.name == "limit" for p in problem.free):
-        return
-
-    def limit(by: float) -> FloatArray:
-        return problem.torque(x, lambda e: replace(e, law=e.law.with_limit(by))) - seen.plain
-
-    yield from ((one, limit(one)) for one in levels if one < problem.axis.law.limit)
+    if hasattr(problem.loop.controller, "limit") and not any(p.name == "limit" for p in problem.free):
+        for by in (one for one in levels if one < problem.axis.law.limit):
+            yield by, problem.torque(x, partial(lambda by, e: replace(e, law=e.law.with_limit(by)), by)) - seen.plain
 
 
 def _saturate(seen: Seen) -> Columns:
