@@ -108,7 +108,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     assert not J[:, names.index("load_inertia")].any()
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
     found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
-    assert not found.shown
+    assert not found.shown and not found.std  # the rigid joint leaves more than 15 %, so that none of its values holds
     assert any("the load never moves" in check.words for check in found.checks)
 
 

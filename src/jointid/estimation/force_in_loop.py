@@ -47,6 +47,7 @@ from jointid.uncertainty.position_dependent_error import RESTING, Uncertainty
 MATTERS, TOLD = 0.25, 1.0  # deviations: a smaller shift widens no interval, and a larger one is said
 _SPREAD = 1.25  # of the known variance, averaged over directions: more than the chance of few simulations
 _PAIRS = 4  # of opposite forces that are simulated
+_PASSES = 4  # of the fit of a spectrum, whose weights follow from the fit before
 _CORNERS = (0.015, 0.05, 0.15, 0.5, 1.5, 5.0)  # of the crossover, f_k; and a flat one
 
 
@@ -134,8 +135,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
     moving = (speed > RESTING * np.max(speed, initial=0.0)).astype(np.float64)
     if run.outcome is not Outcome.FINISHED or np.mean(moving) < 0.1:  # of the rows have to move
         return None
-    every, law = problem.values(x), problem.axis_at(x).law
-    values = {p.name: every[p.name] for p in problem.joint.parameters}
+    values, law = problem.values(x), problem.axis_at(x).law
     middle = crossover(law, sum(values[n] for n in ("inertia", "motor_inertia", "load_inertia") if n in values))
     hertz, power = _spectrum(error, moving, problem.sample_time, 10.0 / middle)  # ten periods
     seen = (hertz >= 0.05 * middle) & (hertz <= 0.4 / problem.sample_time)  # where log and loop show it
@@ -147,12 +147,13 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
     through = frequency_response(problem.joint, values, hertz, "motor_position") * law.feedback(hertz) * late
     response = np.abs(through / (1.0 - through)) ** 2  # of the controller's torque to a force on the motor
     columns = np.column_stack([shapes * response[:, np.newaxis], np.ones(hertz.size)])
-    # A spectrum's deviation is a share of itself, and where it is small, of what reaches there from its largest parts.
-    smooth = np.convolve(np.pad(power, 2, "edge"), np.full(5, 0.2), "valid")
-    weight = 1.0 / np.maximum(smooth, 1e-2 * np.max(smooth))
-    level = float(np.mean(power))  # the solver has tolerances of its own: it sees numbers about 1
+    # A spectrum's deviation is a share of its mean, which the fit tells: by itself it is rough, and in parts negative.
+    fitted, level = np.ones(hertz.size), float(np.mean(power))  # the solver sees numbers about 1
     try:
-        parts, _ = nnls(columns * (level * weight)[:, np.newaxis], power * weight)
+        for _ in range(_PASSES):
+            spread = np.maximum(fitted, 1e-2 * max(np.max(fitted), 1.0))
+            parts, _ = nnls(columns / spread[:, np.newaxis], power / (level * spread))
+            fitted = columns @ parts
     except RuntimeError:  # too many iterations: columns that are alike, or no numbers
         return None
     found = RandomForce(hertz, level * (shapes @ parts[:-1]), math.sqrt(level * parts[-1]))
@@ -192,11 +193,8 @@ def _spectrum(signal: FloatArray, chosen: FloatArray, step: float, longest: floa
     """Frequencies and spectrum of chosen samples, from lags up to `longest`, s."""
     lags = max(min(round(longest / step), signal.size // 4), 2)
     size = 1 << (2 * signal.size - 1).bit_length()
-
-    def autocorrelate(values: FloatArray) -> FloatArray:
-        return np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)[: lags + 1]
-
-    together = autocorrelate(signal * chosen) / np.maximum(autocorrelate(chosen), 1.0)
+    sums, counts = np.fft.irfft(np.abs(np.fft.rfft([signal * chosen, chosen], size)) ** 2, size)[:, : lags + 1]
+    together = sums / np.maximum(counts, 1.0)
     together *= 0.5 * (1.0 + np.cos(math.pi * np.arange(lags + 1) / lags))
     power = np.real(np.fft.rfft(np.concatenate([together, together[-2:0:-1]])))
     return np.arange(power.size) / (2 * lags * step), power

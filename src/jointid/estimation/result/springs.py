@@ -34,7 +34,7 @@ from jointid.estimation.descent import descend, with_linear_spring
 from jointid.estimation.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
-from jointid.estimation.result.verdict import Check, Reason, StiffnessBound, Subject, check_of, springs_checks
+from jointid.estimation.result.verdict import POOR_FIT, Check, Reason, StiffnessBound, Subject, check_of, springs_checks
 from jointid.estimation.spring_search import DAMPED, FASTEST, crossover, divide, frequency_of
 from jointid.models.joints import of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
@@ -157,8 +157,10 @@ def visible(
         beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found), shares)
         bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in zip(bounds, beside, strict=True)]
     checks = springs_checks([f"not identifiable from this record: {reasons[0]}", *reasons[1:]])
-    stated = zip(rigid.free, judged.covariance.std, slopes.any(axis=0) & find_separable(slopes), strict=True)
-    std = {p.name: float(one) for p, one, told in stated if told}
+    # Of a rigid joint that does not explain the torque no value holds.
+    told = slopes.any(axis=0) & find_separable(slopes) & (np.linalg.norm(error) <= POOR_FIT * rigid.size)
+    stated = zip(rigid.free, judged.covariance.std, told, strict=True)
+    std = {p.name: float(one) for p, one, seen in stated if seen}
     return Visibility(checks, values, std, tuple(bounds), judged.warnings)
 
 
