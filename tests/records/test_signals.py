@@ -7,7 +7,6 @@ from scipy.signal import cheby1, sosfiltfilt
 from jointid.records.record import Channel, Timing
 from jointid.records.signals.filtering import (
     Filtering,
-    decimate_all,
     differentiate_twice,
     lowpass,
     settle,
@@ -35,7 +34,7 @@ def test_decimation_is_by_scipy_s_filter_and_keeps_the_last_sample(samples: int,
     values = np.cumsum(rng.standard_normal((samples, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
     sections = cheby1(8, 0.05, 2 * filtering.cutoff * T, output="sos")
     expected = sosfiltfilt(sections, values, axis=0, padlen=24)[:: -(filtering.decimation or 1)][::-1]
-    turned, alone = decimate_all([np.asfortranarray(values), values[:, -1]], filtering, T)
+    turned, alone = (filtering.decimate(each, T) for each in (np.asfortranarray(values), values[:, -1]))
     size = np.max(np.abs(expected), axis=0)
     for found in (filtering.decimate(values, T), turned):
         assert found.shape == expected.shape

@@ -121,7 +121,11 @@ class RecordReader:
         given, time, period = as_columns(self.columns), self.time, self.sample_time
         wanted = {name: given[name] for name in CHANNELS if name in given}
         if any(column.sample_time or column.time for column in wanted.values()):
-            table = _cut_tails(table)
+            # A column ends with its last number, unless a gap precedes it.
+            known = {column: np.flatnonzero(~np.isnan(values)) for column, values in table.columns.items()}
+            ends = {column: at.size for column, at in known.items() if at.size and at[-1] + 1 == at.size}
+            cut = {column: values[: ends.get(column)] for column, values in table.columns.items()}
+            table = replace(table, columns=cut)
         if time is None and period is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)
         # A sample time given alone, or the named time column of a file with one clock, overrides the file's clocks.
@@ -320,12 +324,3 @@ def _find_refreshes(values: FloatArray, ratio: float) -> NDArray[np.bool_]:
     phase = int(np.argmax(np.bincount(changes % every, minlength=every)))
     kept = np.arange(values.size) % every == phase
     return kept if np.all(kept[changes]) and 2 * every <= values.size else np.ones(values.size, dtype=bool)
-
-
-def _cut_tails(table: Table) -> Table:
-    """Cut columns after their last number if no gap precedes it."""
-    cut = {}
-    for name, values in table.columns.items():
-        filled = np.flatnonzero(~np.isnan(values))
-        cut[name] = values[: filled.size] if filled.size and filled[-1] + 1 == filled.size else values
-    return replace(table, columns=cut)

@@ -15,7 +15,7 @@ from jointid.records.clock import is_same_rate
 from jointid.records.columns import Column, as_columns, unit_in_name
 from jointid.records.drives import Drive, Frame
 from jointid.records.formats import Table, write_table
-from jointid.records.record import Channel, Record, instants, refer_channel, takes_record
+from jointid.records.record import Record, instants, refer_channel, takes_record
 
 _ONE = 1e-9  # relative tolerance of two channels that share a column
 
@@ -101,24 +101,20 @@ def columns_to_write(
         unit = units.unit(time_unit or unit_in_name(name, units.units_of("time")) or "s")
         table[name] = instants(len(first), first.sample_time / unit.factor)
     for name, channel in channels.items():
-        called = named[name].column if name in named else name
-        values = _column_values(name, channel, named, frame) if name in named else channel.values
+        called, values = name, channel.values
+        if name in named:
+            column, unit = named[name], frame.unit_of(name, named)
+            called = column.column
+            if unit.si != channel.unit:
+                raise RecordError(
+                    f'{name} is in {channel.unit}, and its column "{called}" in {unit.name}; correct one of them.'
+                )
+            values = values / (column.sign * column.gain * unit.factor)
+            if column.wrap is not None:  # the first value is kept, so that unwrapping restores the position
+                values = values - column.wrap * np.round((values - values[0]) / column.wrap)
         if not np.allclose(table.setdefault(called, values), values, rtol=_ONE, atol=0.0):
             raise RecordError(
                 f'{name} would share the column "{called}" with something else; give each channel, and the time, a '
                 "column of its own."
             )
     return table
-
-
-def _column_values(name: str, channel: Channel, columns: Mapping[str, Column], frame: Frame) -> FloatArray:
-    """Convert a channel to its column's unit."""
-    column, unit = columns[name], frame.unit_of(name, columns)
-    if unit.si != channel.unit:
-        raise RecordError(
-            f'{name} is in {channel.unit}, and its column "{column.column}" in {unit.name}; correct one of them.'
-        )
-    values = channel.values / (column.sign * column.gain * unit.factor)
-    if column.wrap is not None:  # the first value is kept, so that unwrapping restores the position
-        values = values - column.wrap * np.round((values - values[0]) / column.wrap)
-    return np.asarray(values)

@@ -36,7 +36,6 @@ from jointid.records.record import Channel, Injection, InjectionPoint, Record, T
 from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
-    decimate_all,
     differentiate_twice,
     find_noise_limit,
     lowpass,
@@ -141,7 +140,8 @@ class MeasuredMotion:
         inside = self.filtering.inside(len(self.q))
         moving = self.moving[inside, joint, np.newaxis]
         among = self.moving[inside] if self.apart else moving
-        rows, shares = decimate_all([columns[inside] * moving, among], self.filtering, self.sample_time)
+        both = self.filtering.decimate(np.hstack([columns[inside] * moving, among]), self.sample_time)
+        rows, shares = np.split(both, columns.shape[1:], axis=1)
         stated = np.any(shares > self.told, axis=1)
         return rows[stated] if self.apart else np.where(stated[:, np.newaxis], rows, 0.0)
 

@@ -6,7 +6,7 @@ Torque and regressor columns pass the same `Filtering`, so that both sides of th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Literal
@@ -125,6 +125,7 @@ class Filtering:
         _require_samples(max(samples - first - last, 0), 3 * _ORDER)
         return slice(first, samples - last)
 
+    @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a diverging loop may overflow
     def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
         """Low-pass forwards and backwards, and decimate; needs a resolved filtering.
 
@@ -141,7 +142,29 @@ class Filtering:
             >>> filtering.decimation, len(filtering.decimate(np.ones(3001), 1e-3))
             (6, 501)
         """
-        return decimate_all([values], self, sample_time)[0]
+        from jointid.records.signals.sections import LANES, STEPS, filter_reversed
+
+        assert self.cutoff is not None and self.decimation is not None
+        samples, padding, columns = len(values), 3 * _ORDER, values.reshape(len(values), -1)
+        _require_samples(samples, padding)
+        sections, initial = _design_decimation(2 * self.cutoff * sample_time)
+        total = samples + 2 * padding
+        more = -total % STEPS  # rows behind the signal, whose values are of no use
+        rows = _BUFFER.array("rows", (total + more, LANES))
+        back = _BUFFER.array("back", (total + 2 * more, LANES))
+        at = np.arange((samples - 1) % self.decimation, samples, self.decimation) + padding
+        kept = np.empty((at.size, columns.shape[1]), order="F")
+        for first in range(0, columns.shape[1], LANES):
+            width = min(columns.shape[1] - first, LANES)
+            inside, lanes = rows[padding : padding + samples], 1 if width == 1 else LANES
+            inside[:, :width], inside[:, width:lanes] = columns[:, first : first + width], 0.0
+            rows[:padding] = 2 * inside[0] - inside[padding:0:-1]
+            rows[padding + samples : total] = 2 * inside[-1] - inside[-2 : -2 - padding : -1]
+            for here, there in ((rows, back), (back[more:], rows)):
+                state = np.multiply.outer(initial, here[0]).ravel()
+                filter_reversed(sections, state, here.ravel(), there[: total + more].ravel(), lanes)
+            kept[:, first : first + width] = rows[at + more, :width]
+        return kept.reshape(len(kept), *values.shape[1:])
 
 
 def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray:
@@ -176,27 +199,6 @@ def thin_channel(channel: Channel, sample_time: float) -> Channel:
     if channel.timing is not Timing.SAMPLED or every < 2 or abs(ratio / every - 1) > 1e-9:
         return channel
     return replace(channel, values=channel.values[::every], sample_time=sample_time)
-
-
-@np.errstate(over="ignore", invalid="ignore")  # the derivatives of a diverging loop may overflow
-def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
-    """Decimate several signals, (samples,) or (samples, columns); see `Filtering.decimate`."""
-    from jointid.records.signals.sections import filter_rows
-
-    assert filtering.cutoff is not None and filtering.decimation is not None
-    keep, samples, padding = filtering.decimation, len(parts[0]), 3 * _ORDER
-    _require_samples(samples, padding)
-    sections, initial = _design_decimation(2 * filtering.cutoff * sample_time)
-    ends = np.cumsum([1 if part.ndim == 1 else part.shape[1] for part in parts])
-    rows = _BUFFER.array("rows", (samples + 2 * padding, int(ends[-1])))
-    inside = np.concatenate([part.reshape(samples, -1) for part in parts], axis=1, out=rows[padding:-padding])
-    rows[:padding] = 2 * inside[0] - inside[padding:0:-1]
-    rows[-padding:] = 2 * inside[-1] - inside[-2 : -2 - padding : -1]
-    for first, step in ((0, 1), (-1, -1)):
-        filter_rows(sections, np.multiply.outer(initial, rows[first]), rows, step)
-    kept = np.array(inside[(samples - 1) % keep :: keep], order="F")
-    split = np.split(kept, ends[:-1], axis=1)
-    return [one[:, 0] if part.ndim == 1 else one for part, one in zip(parts, split, strict=True)]
 
 
 @lru_cache(maxsize=64)
@@ -293,19 +295,13 @@ def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0, *
     return seen.T
 
 
-# The highest cut-off at which the noise of measured positions does not bias an identified inertia.
-#
-# Second differences of positions raise white noise with the fourth power of the frequency, so its share of the
-# acceleration grows with the fifth power of the cut-off, at any sampling frequency. Least squares underestimates the
-# inertia by that share: at 5 kHz, with steps of 1e-4 rad, a cut-off of 4 % of the rate lost a third.
-
-
 def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, derivative: int = 2) -> float:
     """Highest cut-off that the noise of positions allows, Hz; infinite without noise.
 
     At the limit, noise contributes 1e-4 of the power of a derivative; the lowest limit of all positions counts. The
     limit for the acceleration is at least twice the highest octave in which any acceleration is ten times its
-    noise.
+    noise. The share of noise grows with the fifth power of the cut-off, and least squares underestimates the inertia
+    by that share: at 5 kHz, with steps of 1e-4 rad, a cut-off of 4 % of the rate lost a third.
 
     Args:
         positions: (samples,) each, raw, with one clock.
