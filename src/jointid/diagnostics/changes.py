@@ -359,7 +359,7 @@ CHANGES = (
     ),
     _row("limit", _try_limit, "the controller's output is limited to {shown}, which is not declared"),
     _row("delay", partial(_try_delay, "delay")),
-    _row("reference_delay", partial(_try_delay, "reference_delay")),
+    _row("reference_delay", partial(_try_delay, "reference_delay"), "the reference, or the log, is {shown} late"),
 )  # fmt: skip
 
 
