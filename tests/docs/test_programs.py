@@ -2,7 +2,6 @@
 
 import re
 import shlex
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -46,11 +45,4 @@ def test_the_links_of_the_pages_lead_to_files() -> None:
     for page in (*ROOT.glob("*.md"), *pages()):
         for link in re.findall(r"\]\((?!https?:|#|mailto:)([^)#]+)", page.read_text(encoding="utf-8")):
             there = page.parent / link
-            assert there.exists(), f"{page.name}: {link}"
-
-
-@pytest.mark.parametrize("name", ["drive_profiles", "joint_file_keys"])
-def test_a_clone_has_the_pages_that_the_program_writes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT / "docs" / "_ext")
-    page = ROOT / "docs" / "reference" / "generated" / f"{name.replace('_', '-')}.md"
-    assert page.read_text("utf-8") == import_module(name).page(), "build the documentation, and commit the page"
+            assert "generated" in there.parts or there.exists(), f"{page.name}: {link}"
