@@ -71,10 +71,13 @@ class RandomForce:
 
     def draw(self, samples: int, sample_time: float, random: np.random.Generator) -> FloatArray:
         """Return a force of this spectrum, (samples,)."""
-        hertz = np.fft.rfftfreq(samples, sample_time)
-        size = np.sqrt(samples * np.interp(hertz, self.hertz, self.power))
+        from scipy.fft import next_fast_len
+
+        period = next_fast_len(samples, real=True)
+        hertz = np.fft.rfftfreq(period, sample_time)
+        size = np.sqrt(period * np.interp(hertz, self.hertz, self.power))
         turn = np.exp(2j * math.pi * random.uniform(size=hertz.size))
-        return np.fft.irfft(size * turn, samples)
+        return np.fft.irfft(size * turn, period)[:samples]
 
 
 def widen_for_force(
