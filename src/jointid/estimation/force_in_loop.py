@@ -74,9 +74,8 @@ class RandomForce:
         from scipy.fft import next_fast_len
 
         period = next_fast_len(samples, real=True)
-        hertz = np.fft.rfftfreq(period, sample_time)
-        size = np.sqrt(period * np.interp(hertz, self.hertz, self.power))
-        turn = np.exp(2j * math.pi * random.uniform(size=hertz.size))
+        size = np.sqrt(period * np.interp(np.fft.rfftfreq(period, sample_time), self.hertz, self.power))
+        turn = np.exp(2j * math.pi * random.uniform(size=size.size))
         return np.fft.irfft(size * turn, period)[:samples]
 
 
@@ -182,10 +181,8 @@ def simulate_with_force(
     random, samples, pushed = np.random.default_rng(0), problem.measured.size, np.zeros(0)
 
     def push(added: FloatArray, driven: AxisInput) -> AxisInput:
-        extra = np.zeros(driven.after_limit.size)
-        held = np.repeat(added, driven.clock.skips)[:: driven.clock.shows][: extra.size]
-        extra[: held.size] = held
-        return driven.push(extra)
+        held = np.repeat(added, driven.clock.skips)[:: driven.clock.shows][: driven.after_limit.size]
+        return driven.push(np.pad(held, (0, driven.after_limit.size - held.size)))
 
     for k in range(draws):
         pushed = -pushed if pairs and k % 2 else force.draw(samples, problem.sample_time, random)

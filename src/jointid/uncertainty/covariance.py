@@ -44,7 +44,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,10 +189,6 @@ class Influence:
         """Covariance from S of the scaled scores: ``(Z' J)^-1 S (J' Z)^-1``."""
         return covariance_of(self.spread @ meat @ self.spread.T, self.norms)
 
-    def scores_left_out(self, block: NDArray[np.intp]) -> FloatArray:
-        """Scores, (rows, parameters), with the leave-out residual of each `block` index."""
-        return self.columns * self.residual_left_out(block)[:, np.newaxis]
-
     def by_time(self) -> Covariance:
         """Covariance robust to autocorrelation, by sums over neighbouring rows."""
         instants = [(part.stop - part.start) // self.equations for part in self.parts]
@@ -201,7 +197,8 @@ class Influence:
         for count, wide in zip(instants, lags, strict=True):
             blocks.append(first + np.tile(np.arange(count) // max(wide, 1), self.equations))
             first = int(blocks[-1].max()) + 1
-        scores, found = self.scores_left_out(np.concatenate(blocks)), np.zeros_like(self.spread)
+        left = self.residual_left_out(np.concatenate(blocks))
+        scores, found = self.columns * left[:, np.newaxis], np.zeros_like(self.spread)
         for part, count, wide in zip(self.parts, instants, lags, strict=True):
             found += bartlett_sum(np.sum(scores[part].reshape(self.equations, count, -1), axis=0), wide)
         return self.covariance(found)
@@ -216,7 +213,11 @@ class Influence:
         Z, slopes, before, block = self.columns[order], self.slopes[order], self.error[order], block[order]
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
         shares, scores = _products(Z, slopes, first), np.add.reduceat(Z * before[:, np.newaxis], first)
-        inverse = np.linalg.pinv(np.eye(len(self.spread)) - self.spread @ shares, 1e-6)
+        unit, norm = np.eye(len(self.spread)), partial(np.linalg.norm, axis=(1, 2))
+        others = unit - self.spread @ shares
+        inverse = np.linalg.inv(others + 1e-15 * unit)  # never exactly singular, and far faster than `pinv`
+        lost = ~(norm(others) * norm(inverse) < 1e6)
+        inverse[lost] = np.linalg.pinv(others[lost], 1e-6)
         moved = inverse @ (self.spread @ scores[..., np.newaxis])
         rows = np.diff(first, append=len(block))
         after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
@@ -330,8 +331,7 @@ class Influence:
     def by_frequency(self) -> FloatArray:
         """Change of the estimate by each frequency's residual, (frequencies, parameters)."""
         columns, error = (one.reshape(self.equations, -1, *one.shape[1:]) for one in (self.columns, self.error))
-        scores = 2.0 * _scores_by_frequency(columns, error)
-        return np.asarray(scores @ self.spread.T / self.norms)
+        return np.asarray(2.0 * _scores_by_frequency(columns, error) @ self.spread.T / self.norms)
 
     def widen_for_bands(self, covariance: Covariance) -> Covariance:
         """Raise the deviations to the estimate's spread over the choice of band.
