@@ -11,11 +11,14 @@ import jointid as ji
 from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
 from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
+from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.explain import Case, Cause, explain_failure, find_causes, is_small, list_cases
 from jointid.diagnostics.model_free import find_plain_cause, find_unexplained_share
+from jointid.diagnostics.score import SolvedLoop
 from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
 from jointid.models.controllers import Cascade, FirstOrder, Notch, with_numbers
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import twin
 from jointid.simulation.excitation import trapezoids
@@ -23,18 +26,7 @@ from jointid.simulation.synthesis import simulated_record
 from studies.healthy import drive
 from studies.setpoints import judge
 from tests.estimates import faults_of, identify
-from tests.mistakes import (
-    MISTAKES,
-    MORE,
-    SMOOTH,
-    AxisName,
-    Mistake,
-    axis,
-    cut,
-    tell,
-    without_mistake,
-    without_positions,
-)
+from tests.mistakes import MISTAKES, MORE, SMOOTH, AxisName, axis, cut, tell, without_mistake, without_positions
 
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
 SLOWER = ("torque turned round", "reference in degrees", "sample time ten times as long")
@@ -146,6 +138,15 @@ def test_a_fault_is_none_that_leaves_more_when_it_is_corrected() -> None:
     assert "load_dependent_friction" not in tell(*SMOOTH.make(axis("screw"), 1))[0]
 
 
+def test_a_friction_that_is_smooth_at_rest_is_that_of_stribeck_and_does_not_wind_up() -> None:
+    record, loop = SMOOTH.make(axis("rigid"), 1)
+    laws = (replace(loop, joint=replace(loop.joint, friction=Friction(law))) for law in ("presliding", "stribeck"))
+    wound, right = (identify(record, law) for law in laws)
+    found = {one.name: one for one in SolvedLoop(*rebuild_problem(wound, record)).tests}["presliding"]
+    assert found.p_value < 0.01 and '"stribeck"' in found.fault.remedy
+    assert right.fit.filtered_error < 0.8 * wound.fit.filtered_error and right["stribeck_force"].value < 0.0
+
+
 def test_a_gross_fault_that_has_a_cause_is_not_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
     record, loop = BY_NAME["delay forgotten"].make(axis("rigid"), 1)
     monkeypatch.setattr("jointid.diagnostics.search.test_laws", lambda _: [])
@@ -161,7 +162,7 @@ def test_a_law_is_the_answer_where_a_record_is_too_short_for_free_responses() ->
 @pytest.mark.parametrize("name", ["rigid", "direct", "screw"])
 @pytest.mark.parametrize("mistake", MORE, ids=[one.name for one in MORE])
 def test_what_the_samples_show_is_said_without_a_search(
-    name: AxisName, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
+    name: AxisName, mistake: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A record that is too short, and a signal that was injected and is not declared."""
     monkeypatch.setattr(searching, "list_cases", Mock(side_effect=AssertionError("causes were put right in turn")))

@@ -1,8 +1,4 @@
-"""Measured and predicted torques of each axis, on the compared rows.
-
-The columns of the free parameters, and of the faults that a motion shows (`Fault.columns`), pass the filter of the
-torques, too.
-"""
+"""Measured and predicted torques of each axis, and columns of parameters and faults through the same filter."""
 
 from __future__ import annotations
 

@@ -307,7 +307,7 @@ def _say_sample_time(value: float | None, _: Case) -> Iterator[Cause]:
 
 
 def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iterator[Cause]:
-    """Yield one mistake; its clause may contain {name}, {shown} and {declared}."""
+    """Yield one mistake; its clause may contain {name}, {shown}, {declared} and {or_log}."""
 
     def show(value: float) -> str:
         if name.endswith(("delay", "filter")):
@@ -319,8 +319,9 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iter
     declared = case.numbers.get(name, 0.0)
     if name == "position_gain" and value and declared / value > 1.0 and _is(declared / value, _MINUTE):
         clause += ": it is given in 1/min, as its values tell"
+    words = {"name": f"the {name_number(name)}", "or_log": ", or the log," if case.record.injected is None else ""}
     numbers = {"shown": show(value or 0.0), "declared": show(declared)} if "{" in clause else {}
-    yield Cause(name, clause.format(name=f"the {name_number(name)}", **numbers), value)
+    yield Cause(name, clause.format(**words, **numbers), value)
 
 
 def _row(name: str, correct: Callable[[Case], Iterable[Case]], clause: str = _IS_ABOUT) -> Change:
@@ -349,17 +350,14 @@ CHANGES = (
         "torque_filter", partial(_try_filter, "torque_filter"),
         "there is one more torque filter, such as one of first order with {shown}",
     ),
-    Change(
-        "notch", partial(_try_filter, "notch"),
-        lambda value, _: [Cause("notch", f"the torque passes a notch near {number(value or 0.0, 2)} Hz", value)],
-    ),
+    _row("notch", partial(_try_filter, "notch"), "the torque passes a notch near {shown} Hz"),
     _row(
         "velocity_feedforward", _try_feedforward,
         "the velocity feed-forward is there and not declared, or the other way round",
     ),
     _row("limit", _try_limit, "the controller's output is limited to {shown}, which is not declared"),
     _row("delay", partial(_try_delay, "delay")),
-    _row("reference_delay", partial(_try_delay, "reference_delay"), "the reference, or the log, is {shown} late"),
+    _row("reference_delay", partial(_try_delay, "reference_delay"), "the reference{or_log} is {shown} late"),
 )  # fmt: skip
 
 

@@ -271,12 +271,7 @@ def diagnose_robot(
     # DIDIM and the drive side take a wrong model for another robot: their search ends elsewhere.
     if not (cause or estimate.settings.simulates or all(one.whiteness and one.whiteness.white for one in axes)):
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
-    if cause is not None:
-        return Diagnosis(robot.name, method, tuple(map(_wait_for_cause, axes)), torques, cause)
-    return Diagnosis(robot.name, method, tuple(axes), torques)
-
-
-def _wait_for_cause(axis: AxisDiagnosis) -> AxisDiagnosis:
-    """Drop faults that a cause explains, except other uses of the reference."""
-    laws = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
-    return replace(axis, faults=replace(axis.faults, findings=laws), caused=True)
+    for k, axis in enumerate(axes if cause is not None else ()):  # which explains faults, but no use of a reference
+        kept = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
+        axes[k] = replace(axis, faults=replace(axis.faults, findings=kept), caused=True)
+    return Diagnosis(robot.name, method, tuple(axes), torques, cause)

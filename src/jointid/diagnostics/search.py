@@ -8,8 +8,7 @@ law reproduces the logged torque from a logged motor position, faults of law and
 
 Each other law of the drive is screened by one simulation at the same joint, then identified under, and judged by a J
 test (Davidson and MacKinnon, Econometrica 49, 1981): the residual, regressed on the change of the fit, has the
-coefficient 0 under the declared law and 1 under the other. Of the laws that the record allows the likeliest is chosen;
-of equals the plainest. One that moves a parameter out of its interval without being excluded is undecided.
+coefficient 0 under the declared law and 1 under the other. Of the laws that the record allows the likeliest is chosen.
 
 Of a robot each fault adds a column to the torque of one axis, or of all of them. A wrong scale or a delay of one log
 shows by the other joints, which share the inertias of the links. So the rows of all joints are regressed together, each
@@ -30,6 +29,7 @@ from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import number
 from jointid.diagnostics import changes, suspects
 from jointid.diagnostics.axis_torques import AxisTorques, is_noise
 from jointid.diagnostics.model_free import excludes, offer
@@ -217,6 +217,7 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 _BETWEEN = 0.2  # of what a law changes: so much less is still a rate, or a delay, next to the one that is tried
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
 _LONGEST_LAG = 4e-3  # s: of a current loop or a setpoint filter; a longer one is another mistake
+_LAG, _LESS = "torque_filters.0.time_constant", 0.95  # of the squares that a late log alone leaves
 _SHARES_OF_LAG = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2)  # the delays that are tried
 
 
@@ -314,20 +315,20 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
     law: Any = problem.loop.controller
     period, measured = float(problem.axis.law.period), problem.axis.tap is Tap.MEASURED
 
-    def find(controller: Any, name: str, start: float, near: FloatArray) -> tuple[float, FloatArray]:
-        wider = problem.under(controller).freeing(name)
-        found = wider.values(descend(wider, wider.vector(problem.values(near) | {name: start}), _TOLERANCE).x)
-        return found[name], problem.vector(found)
+    def find(controller: Any, near: FloatArray, **starts: float) -> tuple[list[float], FloatArray, float]:
+        wider = problem.under(controller).freeing(*starts)
+        end = descend(wider, wider.vector(problem.values(near) | starts), _TOLERANCE)
+        squares, found = float(end.residual @ end.residual), wider.values(end.x)
+        return [found[name] for name in starts], problem.vector(found), squares
 
-    late, near = find(law, suspects.REFERENCE_DELAY.name, law.reference_delay, x)
+    (late,), near, _ = find(law, x, reference_delay=law.reference_delay)
     more = late - law.reference_delay
-    mean = period * max(round(2.0 * more / period + 1.0), 2)
-    times = (changes.AVERAGED, mean), (suspects.REFERENCE_DELAY, late)
-    laws = [(changes.change_time(law, *one), near) for one in times]
+    times = {changes.AVERAGED: period * max(round(2.0 * more / period + 1.0), 2), suspects.REFERENCE_DELAY: late}
+    laws = [(changes.change_time(law, *one), near) for one in times.items()]
     if more > 0.0 and not getattr(law, "torque_filters", True):
         with contextlib.suppress(JointidError):  # the lag vanishes
             lagging = changes.change_time(law, suspects.TORQUE_FILTER, more).controller
-            lag, near = find(lagging, "torque_filters.0.time_constant", more, near)
+            (lag,), near, _ = find(lagging, near, **{_LAG: more})
             lags = [changes.change_time(law, suspects.TORQUE_FILTER, lag)] if lag < _LONGEST_LAG else []
             if lags and measured:  # in its log a late torque steps: no derivative shows its delay
                 each = sorted({law.delay + period * max(round(share * lag / period), 1) for share in _SHARES_OF_LAG})
@@ -337,12 +338,21 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
                 lags.append(delays[int(np.argmin([one @ one - np.sum((basis.T @ one) ** 2) for one in left]))])
             place = 0 if measured else len(laws)  # which lags behind its setpoint
             laws[place:place] = [(one, near) for one in lags]
+            if lags and not (any(problem.log.seen) or suspects.LOG_DELAY.name in problem.units):  # at another instant
+                *_, alone = find(law, near, log_delay=0.0)
+                (lag, late), near, rest = find(lagging, near, **{_LAG: lag, "log_delay": 0.0})
+                one = changes.change_time(law, suspects.TORQUE_FILTER, lag)
+                words = f"{one.words}, and its log is {number(1e3 * late, 2)} ms late"
+                one = replace(one, words=words, remedy=f'{one.remedy}, and method.free = ["log_delay"]', late=late)
+                laws[place + len(lags) : place + len(lags)] = [(one, near)] * (late > 0.0 and rest < _LESS * alone)
     return laws
 
 
 def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
     """Test another law by identifying the joint under it, or None."""
     other = found.problem.under(law.controller, record)
+    if law.late:
+        other = other.freeing(suspects.LOG_DELAY.name).keeping({suspects.LOG_DELAY.name: law.late})
     x = descend(other, start, _TOLERANCE).x
     left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)

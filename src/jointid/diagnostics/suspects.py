@@ -186,12 +186,14 @@ class OtherLaw:
         words: clause on what the drive does.
         remedy: its declaration.
         controller: with that law.
+        late: delay of the log under it, s.
     """
 
     fault: Fault
     words: str
     remedy: str
     controller: Any = None
+    late: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,6 +258,7 @@ class AxisFaults:
             clause = "something is wrong that is none of the known faults"
             share, alike = number(100 * self.explained, 2), " and ".join(_call(one.test.fault) for one in self.findings)
             words = f"{clause}: of these, {alike or 'none'} would explain {share} % of the squares of the residual"
+            words += "; jointid diagnose --laws compares laws of friction and spring"
             return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
         if self.findings:
             return tuple(map(self._describe, self.findings))
@@ -413,7 +416,7 @@ def _wave(seen: Seen) -> Columns:
 def _at_low_speed(sign: float, seen: Seen) -> Columns:
     """Yield friction changes by ``S exp(-(v / vs)^2)``, for some vs."""
     own = [] if seen.loop is None else seen.loop[0].joint.friction.terms()
-    if not any(term.winds or "stribeck_speed" in [name for name, *_ in term.parameters] for term in own):
+    if not any("stribeck_speed" in [name for name, *_ in term.parameters] for term in own):
         yield from ((speed, sign * column) for speed, column in seen.at_low_speeds)
 
 
@@ -527,7 +530,7 @@ _ROWS = (
     ),
     _low_speed(
         "presliding", "friction that falls towards standstill", partial(_at_low_speed, -1.0),
-        'declare friction = "presliding", or "stribeck"',
+        'declare friction = "stribeck" if it is smooth at rest (tanh), "presliding" if it winds up',
     ),
     _position("uneven_friction", "friction that differs along the travel", _along_travel, measure="torque"),
     _friction(

@@ -4,9 +4,8 @@ The joint or robot is simulated, or its inverse model evaluated, and the torque 
 one, ``||Y - Ys|| / ||Y||``. Only what belongs to the record is estimated anew: the state at its first sample, and the
 zero of a load encoder.
 
-The attainable error is that of the same model with parameters fitted to the other record. An estimate predicts the
-record if it adds less than that to the error of each axis, as the root of a difference of squares. A robot is also
-compared with its nominal masses, rotors and springs, with friction fitted to the estimate's record.
+An estimate predicts the record if it adds less than the attainable error to that of each axis, as the root of a
+difference of squares. A nominal robot has the friction that is fitted to the estimate's record.
 """
 
 from __future__ import annotations

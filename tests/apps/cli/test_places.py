@@ -95,7 +95,7 @@ def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, unit: str, re
     assert run("inspect", "own.csv", "--write", "own.toml") == 0
     said = Path("own.toml").read_text("utf-8")
     if unit == "mm":
-        with pytest.raises(ji.RecordError, match="lead"):
+        with pytest.raises(ji.RecordError, match="the lead of the transmission"):
             loads(said).record()
     file = loads(re.sub(r"(?m)^# (?=\w+ =|\[)", "", said).replace("?", "1"))  # what it asks, answered
     record, joint = file.record(), file.joint

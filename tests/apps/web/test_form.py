@@ -70,7 +70,6 @@ def test_a_field_that_does_not_count_is_left_out() -> None:
     [
         ({"controller.position_gain": "fast"}, "controller.position_gain"),
         ({"controller.velocity_gain": ""}, "controller.velocity_gain"),
-        ({"controller.law": "pd"}, "controller.derivative_gain"),
         ({"joint.friction": "none"}, "joint.friction"),
         (dict.fromkeys((key for key in FILLED if key.startswith("joint.")), ""), "joint.kind"),
         ({EXTRA: "[parameters"}, EXTRA),
@@ -96,6 +95,8 @@ def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
         with pytest.raises(JointFileError, match=r"\?|unit"):
             asks(geared)
         asks(geared | {key: "load" if key.endswith("side") else "500 A s/m"})
+    of_worker = place_faults(JointFileError("it needs the lead of the transmission"), fields_of(FILLED))
+    assert [*of_worker] == ["transmission.lead"]
     (torque,) = (one.fields for one in form.channel_step(geared) if one.title == "Torque")
     assert [one.key.rpartition(".")[2] for one in torque[:3]] == ["column", "unit", "gain"]  # what a form shows openly
 

@@ -6,6 +6,7 @@ further lines, in the joint file's format.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -78,10 +79,8 @@ class Field:
             return text
         if self.declared.type in (int, float):
             text = text.replace(",", ".")
-            try:
+            with contextlib.suppress(ValueError):  # a number with a unit is a text
                 return repr(float(text)).removesuffix(".0")
-            except ValueError:  # a number with a unit is a text
-                pass
         return json.dumps(text, ensure_ascii=False)
 
     def show(self, value: Any) -> str | None:
@@ -269,6 +268,7 @@ def place_faults(error: Exception | None, shown: Mapping[str, Field]) -> dict[st
     for fault in getattr(error, "faults", str(error or "").splitlines()):
         place = getattr(fault, "place", ())
         keys = [dot_path(place[:n]) for n in range(len(place), 0, -1)]
+        keys += (key for key in shown if "." in key and " of the ".join(reversed(key.split("."))) in fault)
         found = next((one for key in keys for one in (key, f"{key}.column") if one in shown), "")
         said = fault.replace(found, shown[found].label, 1) if found else fault
         placed.setdefault(found or (EXTRA if place and EXTRA in shown else ""), []).append(said)
