@@ -149,7 +149,8 @@ def _fit_records(
     if len({*marks}) < len(marks):
         raise MethodError("Two of the records are the same: name another file.")
     if alike:
-        return identify_record(records[0], model, method, filtering, known, progress, records[1:])
+        found = identify_record(records[0], model, method, filtering, known, progress, records[1:])
+        return state_scale(state_timing(found, records), records)
     own: Any = method or default_method(model if isinstance(model, ClosedLoop) else model[0])
     layout = lay_out(len(records), model, own.free, several)
     own = replace(own, free=tuple(name for name in layout.free if name != GAIN))

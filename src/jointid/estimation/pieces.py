@@ -59,7 +59,7 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, Solution, damped_step, solve
-from jointid.uncertainty.covariance import Covariance, Influence, Sums, larger, left_out, rows_of, total
+from jointid.uncertainty.covariance import Covariance, Influence, Sums, covariance_of, larger, left_out, rows_of, total
 from jointid.uncertainty.identifiability import find_separable, identifiability
 from jointid.uncertainty.position_dependent_error import RESTING, cells, uncertainty
 
@@ -379,7 +379,8 @@ def _judge(
     # The inertia that tells the gain is not compared.
     tells = _inertia(joint).name if layout.scales and any(layout.added) else ""
     compared = compare_records(alone, {name: unit for name, unit in units.items() if name != tells})
-    covariance = compared.widen(found.covariance, names)
+    more = {p.name: p.widening for p in compared.parameters}  # beyond their noise
+    covariance = covariance_of(found.covariance.matrix + np.diag([more.get(name, 0.0) for name in names]))
     std = dict(zip(names, map(float, covariance.std), strict=True))
     held = find_active_bounds(together.free, x, solution.residual, solution.jacobian)
     loop = problems[0].loop_at(together.split(x)[0])

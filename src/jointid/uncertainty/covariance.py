@@ -145,14 +145,14 @@ class Influence:
         error: (rows,) the residual, in the order of time.
         instruments: (rows, parameters), Z; J when None.
         equations: number of simultaneous equations, stacked.
-        series: rows of each record, stacked; one record when None.
+        series: rows of each record in one equation, one record after the other; one record when empty.
     """
 
     J: FloatArray
     error: FloatArray
     instruments: FloatArray | None = None
     equations: int = 1
-    series: Sequence[int] | None = None
+    series: Sequence[int] = ()
 
     @cached_property
     def norms(self) -> FloatArray:
@@ -180,9 +180,14 @@ class Influence:
         return np.asarray(self.spread @ self.columns.T) / self.norms[:, np.newaxis]
 
     @property
+    def lengths(self) -> Sequence[int]:
+        """Number of instants of each record."""
+        return self.series or (len(self.error) // self.equations,)
+
+    @property
     def parts(self) -> list[slice]:
-        """Rows of each record."""
-        sizes = self.series or [len(self.error)]
+        """Rows of each equation of each record."""
+        sizes = [*self.lengths] * self.equations
         return [slice(int(end) - rows, int(end)) for end, rows in zip(np.cumsum(sizes), sizes, strict=True)]
 
     def covariance(self, meat: FloatArray) -> Covariance:
@@ -191,16 +196,15 @@ class Influence:
 
     def by_time(self) -> Covariance:
         """Covariance robust to autocorrelation, by sums over neighbouring rows."""
-        instants = [(part.stop - part.start) // self.equations for part in self.parts]
-        lags = [min(bandwidth(count), count - 1) for count in instants]
+        lags = [min(bandwidth(count), count - 1) for count in self.lengths]
         blocks, first = list[NDArray[np.intp]](), 0
-        for count, wide in zip(instants, lags, strict=True):
-            blocks.append(first + np.tile(np.arange(count) // max(wide, 1), self.equations))
-            first = int(blocks[-1].max()) + 1
-        left = self.residual_left_out(np.concatenate(blocks))
-        scores, found = self.columns * left[:, np.newaxis], np.zeros_like(self.spread)
-        for part, count, wide in zip(self.parts, instants, lags, strict=True):
-            found += bartlett_sum(np.sum(scores[part].reshape(self.equations, count, -1), axis=0), wide)
+        for count, wide in zip(self.lengths, lags, strict=True):
+            blocks.append(first + np.arange(count) // max(wide, 1))
+            first = int(blocks[-1][-1]) + 1
+        left = self.residual_left_out(np.tile(np.concatenate(blocks), self.equations))
+        each, found = self._by_record(self.columns * left[:, np.newaxis]), np.zeros_like(self.spread)
+        for own, wide in zip(each, lags, strict=True):
+            found += bartlett_sum(np.sum(own, axis=0), wide)
         return self.covariance(found)
 
     def residual_left_out(self, block: NDArray[np.intp]) -> FloatArray:
@@ -290,12 +294,7 @@ class Influence:
 
         Each equation of one record has its own spectrum; sums over time cover their correlation.
         """
-        own = [len(self.error) // self.equations] * self.equations if self.equations > 1 else self.series
-        each = replace(self, equations=1, series=own)
-        ways: tuple[Callable[[], Covariance], ...] = (
-            lambda: replace(each.prewhiten(), equations=self.equations, series=self.series).by_time(),
-            each.by_spectrum,
-        )
+        ways: tuple[Callable[[], Covariance], ...] = lambda: self.prewhiten().by_time(), self.by_spectrum
         return larger(*in_threads(lambda way: way(), ways))
 
     def prewhiten(self) -> Influence:
@@ -330,16 +329,24 @@ class Influence:
 
     def by_frequency(self) -> FloatArray:
         """Change of the estimate by each frequency's residual, (frequencies, parameters)."""
-        columns, error = (one.reshape(self.equations, -1, *one.shape[1:]) for one in (self.columns, self.error))
-        return np.asarray(2.0 * _scores_by_frequency(columns, error) @ self.spread.T / self.norms)
+        size, scores = max(self.lengths), np.zeros((1, len(self.spread)))
+        for columns, error in zip(self._by_record(self.columns), self._by_record(self.error), strict=True):
+            spectra = 2.0 / size * np.fft.rfft(error, size, axis=1)[..., np.newaxis]
+            scores = scores + np.sum(np.real(np.conj(np.fft.rfft(columns, size, axis=1)) * spectra), axis=0)
+        return np.asarray(scores @ self.spread.T / self.norms)
+
+    def _by_record(self, rows: FloatArray) -> list[FloatArray]:
+        """Rows of each record, (equations, instants, ...)."""
+        every = rows.reshape(self.equations, -1, *rows.shape[1:])
+        return np.split(every, np.cumsum(self.lengths)[:-1], axis=1)
 
     def widen_for_bands(self, covariance: Covariance) -> Covariance:
         """Raise the deviations to the estimate's spread over the choice of band.
 
         A model error changes with frequency: scores are summed over bands with equal shares of the residual.
         """
-        error = self.error.reshape(self.equations, -1)
-        energy = np.cumsum(np.sum(np.abs(np.fft.rfft(error, axis=1)) ** 2, axis=0))
+        spectra = [np.fft.rfft(one, max(self.lengths), axis=1) for one in self._by_record(self.error)]
+        energy = np.cumsum(np.sum(np.abs(np.concatenate(spectra)) ** 2, axis=0))
         edges = np.searchsorted(energy, energy[-1] * np.arange(1, _BANDS) / _BANDS)
         # A line of the spectrum may fill several bands, of which all but one are then empty.
         sums = np.add.reduceat(self.by_frequency(), np.unique(np.append(0, edges)), axis=0)
@@ -404,12 +411,6 @@ def smoothed_spectrum(signal: FloatArray, degrees: int, rows: int | None = None)
     both = np.full(periodogram.size, 2.0)
     both[-1] = 2.0 if rows % 2 else 1.0
     return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), "valid"), both
-
-
-def _scores_by_frequency(J: FloatArray, error: FloatArray) -> FloatArray:
-    """``J(f)* e(f)`` summed over equations, (frequencies, parameters), each frequency once."""
-    columns, spectra = np.fft.rfft(J, axis=1), np.fft.rfft(error, axis=1)
-    return np.asarray(np.sum(np.real(np.conj(columns) * spectra[..., np.newaxis]), axis=0) / error.shape[1])
 
 
 def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:

@@ -236,8 +236,7 @@ def second_solution(Z: FloatArray, least: Influence) -> tuple[FloatArray, Covari
     instants = least.error.size // least.equations
     scores = np.sum((between * least.error).T.reshape(least.equations, instants, -1), axis=0)
     near = covariance_of(bartlett_sum(scores, bandwidth(instants)))
-    spectra = replace(least, equations=1, series=[instants] * least.equations)
-    return between @ least.error, larger(near, spectra.by_spectrum(between))
+    return between @ least.error, larger(near, least.by_spectrum(between))
 
 
 def widened_to_second(

@@ -139,32 +139,29 @@ class DriveSideFit(Method):
             except MethodError:  # of a light joint in noise the reversals may be all that tells of its inertia
                 problem = problem.map_logs(_keep_reversals)
                 found = _fit_rigid(problem, history).solution
+        if len(records) > 1:
+            each = np.split(found.residual, np.cumsum(problem.series)[:-1])
+            sizes = [max(float(np.linalg.norm(one)), problem.floor) / math.sqrt(one.size) for one in each]
+            logs: Any = zip(problem.logs, sizes, strict=True)
+            problem = replace(problem, logs=tuple(replace(log, weight=min(sizes) / size) for log, size in logs))
+            found = history.solve(problem, found.x).solution
         x, J, error = found.x, found.jacobian, found.residual
-        influence = Influence(J, error)
+        influence = Influence(J, error, series=problem.series)
         covariance = influence.widen_for_motion(influence.widen_for_bands(influence.by_time()))
         # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
         idle = np.asarray(~J.any(axis=0), dtype=np.bool_)
         covariance = replace(covariance, std=np.where(idle, np.nan, covariance.std))
         limit, resting = min(one.limit for one in motions), 1 - np.mean(np.vstack([one.moving for one in motions]))
-        warnings = list(describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model))
-        if resting > SAID:
-            warnings.append(
-                f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
-            )
+        rests = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
+        noise = describe_noise_limit(problem.filtering, limit, problem.sample_time, task.joint.model)
         late = -problem.values(x)[LOG_DELAY.name]
         return build_estimate(
-            records,
-            rows_of_problem(problem, x, covariance, error, J),
-            covariance.correlation,
-            (problem.measured, problem.predict(problem.run(x))),
-            problem.filtered_error(error),
-            error.size,
-            (found.message, found.status.converged),
-            history.counted.evaluations,
+            records, rows_of_problem(problem, x, covariance, error, J), covariance.correlation,
+            (problem.measured, problem.predict(problem.run(x))), problem.filtered_error(error), error.size,
+            (found.message, found.status.converged), history.counted.evaluations,
             Settings(self.name, "drive-side by least squares", problem.joint, None, problem.filtering, late),
-            ("torque", "motor_position"),
-            warnings=tuple(warnings),
-        )
+            ("torque", "motor_position"), warnings=(*noise, *[rests] * bool(resting > SAID)),
+        )  # fmt: skip
 
 
 def _keep_reversals(log: Any) -> Any:

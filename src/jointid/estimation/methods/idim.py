@@ -57,7 +57,7 @@ from jointid.uncertainty.model_tests import durbin_wu_hausman
 
 VARIANTS = {
     "ols": "IDIM by ordinary least squares",
-    "weighted": "IDIM by weighted least squares, each joint by the size of its error",
+    "weighted": "IDIM by weighted least squares, each joint and record by the size of its error",
     "iv": "IDIM by instrumental variables from the simulated loop",
 }
 """How IDIM was run, by its estimator."""
@@ -183,18 +183,22 @@ class IDIM(Method):
         **parts: Any,
     ) -> Estimate:
         """Estimate of a joint or robot; `state` makes rows and other parts."""
-        estimator: Estimator = self.estimator or ("weighted" if inverse.driven > 1 else "ols")
-        motions, make, solved = inverse.measure_logs(logs, filtering), None, None
+        estimator: Estimator = self.estimator or ("weighted" if inverse.driven * len(logs) > 1 else "ols")
+        motions, make, solved = [inverse.measure(log, filtering) for log in logs], None, None
+        common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or np.inf)
+        if any(motion.filtering != common for motion in motions):
+            motions = [inverse.measure(log, common) for log in logs]
         if estimator == "iv" and loop is not None:
             make = simulate_columns(inverse, loop, logs, motions)
         rows = inverse.rows(motions if make else [part for motion in motions for part in motion.split()])
+        rows = rows if len(logs) > 1 else replace(rows, series=())  # parts of a long record are one
         if ENCODER_OFFSET in inverse.parameters:
             with suppress(MethodError):  # nothing tells it from the other forces
                 solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET}, make)
         slight = 1e-3 * float(np.sqrt(np.mean(rows.Y**2)))  # as much is left by filters
         if solved is None or not abs(solved.values[-1]) > max(SHOWN * solved.covariance.std[-1], slight):
             solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET.fix(0.0)}, make)
-        free, values, common = solved.free, solved.values, motions[0].filtering
+        free, values = solved.free, solved.values
         limit, model = min(one.limit for one in motions), "flexible" if rows.equations > rows.driven else "rigid"
         end = "settled" if solved.converged else "still changing"
         made = build_estimate(

@@ -179,20 +179,14 @@ class Inverse:
         """Convert the motors' motion to a robot's joints, for its columns."""
         return turn(self.system, motion) if isinstance(self.system, Robot) else motion
 
-    def measure_logs(self, logs: Sequence[Sequence[Record]], filtering: Filtering) -> list[MeasuredMotion]:
-        """Measure each log's motion, all filtered with the lowest cut-off."""
-        motions = [self.measure(log, filtering) for log in logs]
-        common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or math.inf)
-        pairs = zip(motions, logs, strict=True)
-        return [motion if motion.filtering == common else self.measure(log, common) for motion, log in pairs]
-
     def rows(self, motions: Sequence[MeasuredMotion], columns: Iterable[FloatArray] | None = None) -> Rows:
         """Regression along the motions of logs, by default of their own columns."""
         pairs, n = zip(motions, columns or map(self.columns, motions), strict=True), motions[0].q.shape[1]
-        W = join_rows([motion.decimate_columns(each) for motion, each in pairs], n)
+        columns = [motion.decimate_columns(each) for motion, each in pairs]
+        W, series = join_rows(columns, n), tuple(len(each) // n for each in columns)
         torques = [motion.decimate(np.stack([motion.torque, motion.if_sampled], axis=2)) for motion in motions]
         Y, early = join_rows(torques, n).T
-        return Rows(Y, W, self.names, n, self.driven, early if np.any(early) else None)
+        return Rows(Y, W, self.names, n, self.driven, series, early if np.any(early) else None)
 
 
 def turn(robot: Robot, motion: MeasuredMotion) -> MeasuredMotion:

@@ -5,10 +5,10 @@ friction and inertia. The residual is linear between both readings, which determ
 between or beyond them. The nearer reading is taken. Each interval is widened by the change of its parameter up to
 the least power, and by two deviations of its place.
 
-**Weights.** A robot has an equation for each joint, and their errors differ in size by powers of ten from base to
-wrist. Each joint's rows are divided by the size of its own error, again until that settles [Gautier 1997, who takes it
-once]. Least squares without weights ("ols") lets the large joints decide the wrist's parameters. A flexible joint's
-load has an equation without a torque, and is not weighted: by its own residual it would pull its unknowns towards 0.
+**Weights.** The errors of a robot's joints differ in size by powers of ten from base to wrist, and those of several
+records may. Each joint's rows of a record are divided by the size of their own error, until that settles [Gautier 1997,
+who does it once]. Without weights ("ols") the large joints decide the wrist's parameters. A flexible joint's load has
+no torque, and its motor's weight: by its own residual it would pull its unknowns towards 0.
 
 **Instruments** are columns Z free of the record's noise: ``Z' (Y - W x) = 0``. They are made anew with each solution.
 """
@@ -46,6 +46,7 @@ class Rows:
         names: of the parameters.
         equations: number of equations with common instants.
         driven: number of the first ones, which have the torque of a motor; the others are homogeneous.
+        series: rows of each record in one equation; empty for one record.
         early: (rows,) change of the torque if it is read as sampled; None if all timings are stated.
     """
 
@@ -54,6 +55,7 @@ class Rows:
     names: tuple[str, ...]
     equations: int
     driven: int = 1
+    series: tuple[int, ...] = ()
     early: FloatArray | None = None
 
     def relative_errors(self, values: FloatArray) -> FloatArray:
@@ -109,7 +111,7 @@ class Solution:
         """
         rows, per_row, error = self.rows, self.scale[:, np.newaxis], self.residual / self.scale
         Z = None if self.instruments is None else self.instruments / per_row
-        influence = Influence(rows.W[:, self.free] / per_row, error, Z, rows.equations)
+        influence = Influence(rows.W[:, self.free] / per_row, error, Z, rows.equations, rows.series)
         found = influence.robust() if rows.driven > 1 else influence.by_time()
         if rows.equations > rows.driven:
             of_load = error.copy()
@@ -136,16 +138,13 @@ def solve_rows(
     `known` has values and bounds by name, `instruments` are for "iv" only, and `turns` limits the turns of weights.
 
     Raises:
-        MethodError: all parameters are fixed, the rows do not determine those that are not, or the estimator is not for
-            them.
+        MethodError: all parameters are fixed, or the rows do not determine those that are not.
     """
     if estimator == "iv" and instruments is None:
         raise MethodError(
             'The estimator "iv" simulates the loop for its instruments; expected the controller of each joint: '
             "give it, or use another estimator."
         )
-    if estimator == "weighted" and rows.equations > rows.driven:
-        raise MethodError('The estimator "weighted" is for a robot; received a flexible joint: use "ols" or "iv".')
     if rows.early is not None:
         readings = (replace(rows, Y=Y, early=None) for Y in (rows.Y, rows.Y + rows.early))
         return _read_timing(*(solve_rows(one, estimator, known, instruments, turns) for one in readings))
@@ -207,18 +206,18 @@ def _solve(rows: Rows, scale: FloatArray, instruments: FloatArray | None = None)
 
 
 def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
-    """Error size of each row's equation, (rows,); 1 for a joint."""
-    if rows.equations > rows.driven:
-        return np.ones(residual.size)
+    """Error size of each row's equation in its record, (rows,)."""
     least, stated = 1e-12 * float(np.sqrt(np.mean(rows.Y**2))), np.any(rows.W != 0.0, axis=1)
-    powers, seen = (np.sum(one.reshape(rows.equations, -1), axis=1) for one in (residual**2, stated))
-    sizes = np.sqrt(powers / np.maximum(seen, 1))  # a joint that rests leaves rows of zeros
-    return np.repeat(np.maximum(sizes, least), residual.size // rows.equations)
+    series = rows.series or (residual.size // rows.equations,)
+    at, each = np.cumsum((0, *series[:-1])), (residual**2, 1.0 * stated)
+    powers, seen = (np.add.reduceat(one.reshape(rows.equations, -1), at, axis=1) for one in each)
+    sizes = np.maximum(np.sqrt(powers / np.maximum(seen, 1.0)), least)  # a joint that rests leaves rows of zeros
+    return np.repeat(np.resize(sizes[: rows.driven], sizes.shape), series, axis=1).ravel()
 
 
 def _read_timing(held: Solution, sampled: Solution) -> Solution:
     """Choose the held or sampled torque, and widen for remaining doubt."""
-    each = np.array([held.residual, sampled.residual]).reshape(2, held.rows.driven, -1)
+    each = (np.array([held.residual, sampled.residual]) / held.scale).reshape(2, held.rows.driven, -1)
     power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1
     each /= np.sqrt(np.maximum(power, 1e-24 * np.mean(held.rows.Y**2)))[:, np.newaxis]  # less noise is rounding
     change = each[1] - each[0]

@@ -245,7 +245,7 @@ class MotionLog:
         filtering: resolved.
         motion: as measured.
         prescribed: the motors' motion.
-        parts: number of parts of a sample.
+        parts: number of parts of a sample. weight: factor of the rows.
     """
 
     measured: FloatArray
@@ -253,6 +253,7 @@ class MotionLog:
     motion: MeasuredMotion
     prescribed: PrescribedMotion
     parts: int = PARTS_OF_ROBOT
+    weight: float = 1.0
     motion_measured: ClassVar[bool] = True
 
     @property
@@ -324,8 +325,8 @@ class MotionLog:
         return found
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Return columns of one joint, (samples, ...), filtered, 0 at rest."""
-        rows = self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
+        """Return columns of one joint, (samples, ...), filtered and weighted, 0 at rest."""
+        rows = self.weight * self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
         return rows.reshape(len(rows), *columns.shape[1:])
 
     def _show(self, run: DriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
@@ -484,6 +485,11 @@ class Simulated:
     def filtered_torque(self) -> FloatArray:
         """Measured torques, filtered, (rows,)."""
         return self._rows([decimate_each(log, list(log.measured.T)) for log in self.logs])
+
+    @property
+    def series(self) -> tuple[int, ...]:
+        """Rows of each log in one joint's equation."""
+        return tuple(len(log.decimate_joint(0, log.measured[:, 0])) for log in self.logs)
 
     def _rows(self, each: Sequence[FloatArray]) -> FloatArray:
         """Join the rows of all logs."""

@@ -122,11 +122,6 @@ class Agreement:
         """Of the parameters that differ by more than their intervals allow."""
         return tuple(p.name for p in self.parameters if p.differs)
 
-    def widen(self, covariance: Covariance, names: Sequence[str]) -> Covariance:
-        """Add the variance between records, beyond their noise, to these parameters."""
-        more = {p.name: p.widening for p in self.parameters}
-        return covariance_of(covariance.matrix + np.diag([more.get(name, 0.0) for name in names]))
-
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
         if not self.differs or self.p_value is None:

@@ -152,7 +152,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
         )
     problem = problem.reweight(error, x.size)
     weights = problem.weights(error.size)
-    influence = Influence(J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size)
+    influence = Influence(J * weights[:, np.newaxis], error * weights, None, problem.sigma.size, problem.series)
     covariance = influence.robust()
     if problem.log.motion_measured:
         covariance = influence.widen_for_motion(covariance)
