@@ -187,8 +187,6 @@ class File:
 
     def records(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> tuple[Record, ...]:
         """Read all axes' records from one file; all begin at one time."""
-        if self.source.parts:
-            raise MethodError("record.parts are several records, and this takes one; give start and stop instead.")
         table = read_table(path := self.record_path(path), **self.source.options)
         found, faults = list[Record](), dict[Fault, list[str]]()
         for axis in self.axes:

@@ -43,6 +43,7 @@ from jointid.estimation.result.verdict import (
     Subject,
     Widening,
     assemble,
+    check_of,
     checks_of,
     skip_test,
 )
@@ -59,7 +60,7 @@ from jointid.simulation.simulate import Run
 from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
-UNCHECKED = "not checked"  # of what was left out, and is made up for by `check_later`
+LATER = {"later": True}  # values of a check that was left out on request, and is made up for by `check_later`
 
 
 @one_thread()
@@ -136,7 +137,7 @@ def identify(
         broken = find_broken_part(checked.records[0]) if len(checked.records) == 1 else None
         return assemble(fit if broken is None else fit.warn(broken.words))
     if not checks:
-        return replace(assemble(fit, *_left_out(UNCHECKED)), x=checked.x)
+        return replace(assemble(fit, *_left_out("not checked", LATER)), x=checked.x)
     return assemble(fit, *run_checks(checked, progress))
 
 
@@ -144,7 +145,7 @@ def identify(
 def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_progress) -> Estimate:
     """Check an estimate of one record afterwards, without a search."""
     part, settings, x = estimate.robot, estimate.settings, estimate.x
-    estimate = replace(estimate, checks=tuple(one for one in estimate.checks if one.words != UNCHECKED))
+    estimate = replace(estimate, checks=tuple(one for one in estimate.checks if one.values != LATER))
     if part is not None:
         solved = solve_again(part, record, settings.filtering) if settings.simulates else None
         fit = replace(estimate, records=tuple(record), solved=solved)
@@ -156,8 +157,8 @@ def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_pro
     return assemble(fit, *run_checks(fit, progress))
 
 
-def _left_out(why: str) -> Checked:
-    return (skip_test(Subject.LOOP, why),), (), None
+def _left_out(why: str, values: Mapping[str, object] | None = None) -> Checked:
+    return (check_of(Subject.LOOP, None, Reason.NOT_TESTED, why, values),), (), None
 
 
 def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:

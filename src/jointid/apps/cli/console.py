@@ -193,7 +193,7 @@ class Options:
 
         None stands for all given or listed records. `first` receives the estimate before its checks.
         """
-        from jointid.diagnostics.identify import UNCHECKED, check_later
+        from jointid.diagnostics.identify import LATER, check_later
         from jointid.estimation.identify import windows_of
         from jointid.output.json import keep, key_of, recall
 
@@ -210,7 +210,7 @@ class Options:
         apart = record is not None and window is None and not windows_of(record, file.setup, file.method)
         apart = apart and (file.robot is not None or record.torque is not None)
         found = None if self.again else recall(place_of(file), file, key)
-        if found is not None and not (checks and UNCHECKED in map(str, found.checks)):
+        if found is not None and not (checks and LATER in [one.values for one in found.checks]):
             return found
         if file.robot is None:  # robots have another simulation
             ready(progress)
@@ -218,7 +218,7 @@ class Options:
             found = save(file.identify_together(self.records, progress))
         elif found is None or not apart:
             found = save(file.identify(record, progress, checks=checks and not apart, windows=window))
-        if checks and UNCHECKED in map(str, found.checks):
+        if checks and LATER in [one.values for one in found.checks]:
             if first is not None:
                 tell("before its checks, which may change this answer:")
                 first(found)
