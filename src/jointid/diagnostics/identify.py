@@ -43,7 +43,6 @@ from jointid.estimation.result.verdict import (
     Subject,
     Widening,
     assemble,
-    check_of,
     checks_of,
     skip_test,
 )
@@ -158,7 +157,7 @@ def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_pro
 
 
 def _left_out(why: str, values: Mapping[str, object] | None = None) -> Checked:
-    return (check_of(Subject.LOOP, None, Reason.NOT_TESTED, why, values),), (), None
+    return checks_of(Subject.LOOP, None, Message(Reason.NOT_TESTED, why, values or {})), (), None
 
 
 def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
