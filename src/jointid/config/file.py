@@ -19,8 +19,6 @@ from jointid.config.axis import Axis
 from jointid.config.tables import FeedForward, Run, Source
 from jointid.config.toml import Change
 from jointid.estimation.methods import Method
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
 from jointid.models.joints import Joint
@@ -146,7 +144,7 @@ class File:
         """System that the method identifies: closed loop, joint, robot or drive side."""
         if self.robot is None:
             return self.loop or self.joint
-        if isinstance(self.method, DriveSideFit):
+        if self.method.simulates == "motion":
             from jointid.simulation.drive_side import RobotDriveSide
 
             return RobotDriveSide(self.robot)
@@ -155,7 +153,7 @@ class File:
     @property
     def _simulates(self) -> bool:
         """True if the method simulates the closed loop."""
-        return isinstance(self.method, DIDIM) or getattr(self.method, "estimator", None) == "iv"
+        return self.method.simulates == "loop" or getattr(self.method, "estimator", None) == "iv"
 
     def record(self, path: str | os.PathLike[str] | None = None, *, driving: bool = False) -> Any:
         """Read the record for `identify`; for a robot, one per joint.

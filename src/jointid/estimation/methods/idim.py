@@ -76,9 +76,9 @@ class IDIM(Method):
 
     estimator: Estimator | None = setting(
         None,
-        "ols, ordinary least squares; weighted, each joint of a robot by the size of its error; "
-        "iv, instruments from the simulated loop, for which the controller is needed; without it ols for a joint, "
-        "weighted for a robot",
+        "ols, ordinary least squares; weighted, each record and each joint of a robot by the size of its error; "
+        "iv, instruments from the simulated loop, for which the controller is needed; without it ols for one record "
+        "of a joint, else weighted",
     )
 
     @classmethod
