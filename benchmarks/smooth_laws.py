@@ -7,9 +7,10 @@ On a prismatic and a rotary axis of 22 to 24 s, each law large enough to show: o
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from functools import partial
 
+from benchmarks.__main__ import interleaved
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import run_loop
@@ -19,14 +20,8 @@ from tests.simulation.differences import sensitivities
 
 def ratio(law: Callable[[], object], plain: Callable[[], object], turns: int) -> float:
     """Return by what factor a law's shortest turn is longer than the plain joint's."""
-    shortest = [float("inf"), float("inf")]
-    for turn in range(turns + 1):
-        for i, run in enumerate((law, plain)):
-            begun = time.perf_counter()
-            run()
-            if turn:  # the first one compiles
-                shortest[i] = min(shortest[i], time.perf_counter() - begun)
-    return shortest[0] / shortest[1]
+    times = interleaved({"law": law, "plain": plain}, turns)
+    return float(min(times["law"]) / min(times["plain"]))
 
 
 def main() -> None:
@@ -34,20 +29,14 @@ def main() -> None:
     print("axis, law: simulation, derivatives")
     for make in (prismatic, rotary):
         case = make(1)
-        experiment, own = prepare(case.loop, case.clean), list(case.truth)
+        experiment = prepare(case.loop, case.clean)
+        plain = partial(run_loop, experiment, Numbers.of_joint(case.loop.joint, case.truth))
+        plain_slopes = partial(sensitivities, case.loop, experiment, case.truth, list(case.truth))
         for name in LAWS:
             loop, values = with_law(case, name)
             names = [p.name for p in loop.joint.parameters]
-            whole = ratio(
-                lambda: run_loop(experiment, Numbers.of_joint(loop.joint, values)),  # noqa: B023
-                lambda: run_loop(experiment, Numbers.of_joint(case.loop.joint, case.truth)),  # noqa: B023
-                7,
-            )
-            slopes = ratio(
-                lambda: sensitivities(loop, experiment, values, names),  # noqa: B023
-                lambda: sensitivities(case.loop, experiment, case.truth, own),  # noqa: B023
-                3,
-            )
+            whole = ratio(partial(run_loop, experiment, Numbers.of_joint(loop.joint, values)), plain, 7)
+            slopes = ratio(partial(sensitivities, loop, experiment, values, names), plain_slopes, 3)
             print(f"{make.__name__}, {name}: {whole:.1f}, {slopes:.1f}", flush=True)
 
 

@@ -50,11 +50,6 @@ def published(text: str, place: str) -> str:
 
 def urls(repository: str, documentation: str) -> dict[str, str]:
     """Return the addresses of the project by their labels; none that does not exist."""
-    found = {"Documentation": documentation}
-    if repository:
-        found |= {
-            "Repository": repository,
-            "Issues": f"{repository}/issues",
-            "Changelog": f"{repository}/blob/main/CHANGELOG.md",
-        }
-    return {label: address for label, address in found.items() if address}
+    pages = {"Repository": "", "Issues": "/issues", "Changelog": "/blob/main/CHANGELOG.md"}
+    own = {label: repository + page for label, page in pages.items() if repository}
+    return ({"Documentation": documentation} if documentation else {}) | own

@@ -10,9 +10,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.pieces import fill_starts
-from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
@@ -28,7 +26,7 @@ BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
 Noise = Literal["disturbance", "white", "none"]
 KILOGRAMS = 10.0
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
-QUICK = DIDIM(frequency=30.0)
+QUICK = ji.DIDIM(frequency=30.0)
 
 
 @cache
@@ -111,7 +109,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
     last = identify(records[::-1], RIGID, several={"added_inertia": added[::-1], "own": ((), (), ("coulomb",))})
     names = {"coulomb": "coulomb", "offset": "offset", "viscous": "viscous", "coulomb@1": "coulomb@3"}
 
-    def together(estimate: Estimate, *pair: str) -> float:
+    def together(estimate: ji.Estimate, *pair: str) -> float:
         at = [estimate.free.index(name) for name in pair]
         return float(estimate.correlation[at[0], at[1]])
 
@@ -128,7 +126,7 @@ def test_what_the_method_frees_is_free_for_several_records() -> None:
         simulated_record(late, BRIEF, truth, sample_time=1e-3, torque_noise=random.standard_normal(BRIEF.size))
         for random in map(np.random.default_rng, (1, 2))
     ]
-    found = identify(records, declared, DIDIM(free=("delay",)))
+    found = identify(records, declared, ji.DIDIM(free=("delay",)))
     assert found["delay"].value == pytest.approx(3e-3, rel=1e-2)
     assert found["viscous"].value == pytest.approx(80.0, rel=0.05)
 
@@ -155,13 +153,13 @@ def test_a_torque_constant_from_a_known_mass() -> None:
 
 
 @pytest.fixture(scope="module")
-def noisy() -> Estimate:
+def noisy() -> ji.Estimate:
     axis = twins("white")
     records = [logged(axis.loop, t, "white", s) for s, t in enumerate((axis.truth, heavier(axis.truth)), 50)]
     return identify(records, axis.loop, several={"added_inertia": [0.0, KILOGRAMS]}, method=QUICK)
 
 
-def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
+def test_a_second_record_narrows_the_intervals(noisy: ji.Estimate) -> None:
     """Each record by itself, and both: about the root of the sum of their informations."""
     parts = noisy.agreement.parts
     for p in (row for row in noisy.rows if row.of_joint):
@@ -171,7 +169,7 @@ def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
     assert not noisy.agreement.differs
 
 
-@pytest.mark.parametrize("method", [DIDIM(), ji.IDIM(), ji.DriveSideFit()])
+@pytest.mark.parametrize("method", [ji.DIDIM(), ji.IDIM(), ji.DriveSideFit()])
 def test_a_record_that_is_much_noisier_does_no_harm(method: Any) -> None:
     """It counts for what it is worth, nearly nothing; without a controller the answer says that the timing is open."""
     truth = {"inertia": 95.0, "viscous": 210.0, "coulomb": 21.0, "offset": 0.0}
