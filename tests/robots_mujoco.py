@@ -13,12 +13,8 @@ def simulate_by_mujoco(
 ) -> tuple[FloatArray, FloatArray]:
     """Return torques and motor positions, (periods, n), of a robot under PD laws with backward differences.
 
-    A torque is held for a period; positions are those at its begin.
-
-    Args:
-        robot: of revolute joints. gains: (n, 2) of position and its difference.
-        references: (periods, n). period: s. start: (masses,) where the links rest, then the rotors of flexible joints.
-        step: s, of MuJoCo.
+    A torque is held for a period; positions are those at its begin. Gains, (n, 2), are of position and its difference.
+    The start, (masses,), is where links rest, then rotors of flexible joints.
     """
     model = mujoco.MjModel.from_xml_string(ji.export(robot, "mjcf", timestep=step).text)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER

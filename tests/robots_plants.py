@@ -59,12 +59,7 @@ class Twin:
     def records(
         self, duration: float = 10.0, seed: int = 1, sample_time: float = 1e-3, multisine: float = 0.0
     ) -> tuple[Record, ...]:
-        """Return records of references: eight harmonics of 0.1 Hz, begun at rest, and a multisine on top of them.
-
-        Args:
-            duration: s. seed: of the motion. sample_time: s.
-            multisine: rad, size of what is added between 3 and 35 Hz.
-        """
+        """Return records of references: eight harmonics of 0.1 Hz, begun at rest, and a multisine of 3 to 35 Hz."""
         t: FloatArray = np.arange(round(duration / sample_time), dtype=np.float64) * sample_time
         q = self.home + motion(t, seed, self.travel)
         if multisine:
@@ -110,11 +105,7 @@ def joints(
     """Return joints; those with a frequency have a spring that swings its rotor so against the held link.
 
     60 % of the viscous friction and 70 % of the Coulomb friction are then the motor's, the rest the link's; the springs
-    are damped by 3 %.
-
-    Args:
-        rotors, viscous, coulomb: of the joints, both sides together.
-        hertz: None of a rigid joint. held: inertia that swings at that frequency.
+    are damped by 3 %. A rigid joint has no frequency.
     """
     made = []
     for i, frequency in enumerate(hertz):

@@ -154,6 +154,12 @@ def test_masses_that_no_body_has_are_unknown(old: str, new: str) -> None:
     assert not np.any(robot.inertials[1]) and robot.inertials[0][0] == 2.0
 
 
+@pytest.mark.parametrize(("right", "wrong", "named"), [("1 0 0", "1, 0 0", "joint lift"), ("0.25", "a", "link arm")])
+def test_a_number_that_is_none_is_named_by_its_joint_or_link(right: str, wrong: str, named: str) -> None:
+    with pytest.raises(JointFileError, match=named):
+        read_robot(URDF.replace(f'"{right}"', f'"{wrong}"'))
+
+
 def test_a_finger_that_follows_another_is_locked_with_it() -> None:
     finger = (
         '<link name="tip"/><joint name="finger" type="continuous"><parent link="rod"/><child link="tip"/>'
@@ -255,5 +261,6 @@ def test_a_hundred_joints_may_move_however_many_are_locked() -> None:
     text = f"<mujoco><worldbody>{''.join(map(joint.format, range(120)))}{'</body>' * 120}</worldbody></mujoco>"
     robot, _ = read_robot(text, locked={f"j{k}": 0.0 for k in range(118)})
     assert robot.names == ("j118", "j119")
-    with pytest.raises(JointFileError, match="120 joints move"):
-        read_robot(text)
+    for count in (120, 0):
+        with pytest.raises(JointFileError, match=rf"{count} joints move, .*robot\.locked"):
+            read_robot(text, locked={f"j{k}": 0.0 for k in range(120 - count)})

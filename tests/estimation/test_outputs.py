@@ -155,6 +155,7 @@ def test_idim_takes_a_computed_torque() -> None:
     assert found["inertia"].value == pytest.approx(0.5, rel=0.01)
     assert scale_status(found) == [None]
     assert found.answer.trust.values["reasons"] == ["motion_measured"]
+    assert f" {1e3 * found.data.sample_time:g} ms " in str(found.answer)  # which no motion tells
 
 
 PDS = tuple(ji.controller.PD(position_gain=p, derivative_gain=d) for p, d in ((6000.0, 400.0), (5000.0, 350.0)))

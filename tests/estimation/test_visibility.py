@@ -62,6 +62,7 @@ def test_a_spring_that_the_record_does_not_show_is_refused(unseen: tuple[Record,
     assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
     with pytest.raises(MethodError, match=r"stiffness, .*cannot be determined from this record"):
         validate(estimate, record)
+    assert estimate.answer.trust.values["reasons"] == ["not_tested"]
 
 
 def test_the_loop_of_a_refused_spring_is_checked_along_the_motor_position(unseen: tuple[Record, Estimate]) -> None:

@@ -56,15 +56,7 @@ def run_copy(
     kill: int = 0,
     after: float = 0.0,
 ) -> Ended:
-    """Run something in a copy of this process.
-
-    Args:
-        action: what is run.
-        folder: where.
-        most: bytes of a file, as on a disk that is full.
-        kill: signal that is sent.
-        after: seconds until then.
-    """
+    """Run an action in a copy of this process, with files of `most` bytes, until it is killed `after` seconds."""
     begin = time.monotonic()
     reader, writer = os.pipe()
     child = os.fork()

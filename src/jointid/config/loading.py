@@ -147,12 +147,9 @@ def save_with_controller(
 
 
 def controller_text(controller: Controller, axis: Axis | None = None) -> str:
-    """Return the table [controller] of a joint file as TOML.
+    """Return the table [controller] of a joint file as TOML, of a class in `LAWS`.
 
-    Args:
-        controller: of a class in `LAWS`.
-        axis: of the file. Its transmission and torque constant are not repeated, and the units of the numbers are added
-            as comments.
+    The transmission and the torque constant of the file's axis are not repeated, and units are comments.
 
     Raises:
         JointFileError: a joint file cannot express the controller, or its side of the transmission.

@@ -8,6 +8,7 @@ compiled. Links that do not move relative to each other are merged.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -114,14 +115,15 @@ def read_robot(
         with ExitStack() as after, np.errstate(all="ignore"):  # a robot asks for finite numbers
             after.callback(mujoco.set_mju_user_warning, mujoco.get_mju_user_warning())
             mujoco.set_mju_user_warning(lambda _: None)  # neither on the terminal nor in a log file
-            model = mujoco.MjModel.from_xml_string(ET.tostring(kept, encoding="unicode"))
-            if (moving := model.njnt - len(locked)) > _MOST_JOINTS:
-                raise MethodError(f"{moving} joints move, of at most {_MOST_JOINTS}")
+            text = ET.tostring(kept, encoding="unicode").replace("><", ">\n<")
+            model = mujoco.MjModel.from_xml_string(text)
             _require_free(root, model, locked, called)
+            if not 0 < (moving := model.njnt - len(locked)) <= _MOST_JOINTS:
+                raise MethodError(f"{moving} joints move, of 1 to {_MOST_JOINTS}, see robot.locked")
             stated = {one.get("name", ""): one.find("limit") for one in kept.iter("joint")}
             robot, carried = _build(mujoco, model, root.get("name") or root.get("model") or "robot", locked, stated)
     except (ValueError, MethodError, mujoco.FatalError, MemoryError) as error:
-        reason = " ".join(str(error).split())[:300] or "it takes too much memory"
+        reason = " ".join(_name_element(text, str(error)).split())[:300] or "it takes too much memory"
         raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
     return replace(reorder_joints(robot, [one.get("name", "") for one in root.iter("joint")]), remarks=remarks), carried
 
@@ -243,15 +245,16 @@ def _is_possible(inertial: ET.Element) -> bool:
     return possible
 
 
-def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> None:
-    """Refuse coupled or sprung moving joints, and unknown locked joints.
+def _name_element(text: str, reason: str) -> str:
+    """Replace the line of an error, in the text that MuJoCo reads, by the joint, link or body there."""
+    *_, line = "0", *re.findall(r", line (\d+)", reason)
+    before = "".join(text.splitlines()[: int(line)])
+    *_, (tag, name) = ("line", line), *re.findall(r'<(joint|link|body) (?:[^>]* )?name="([^"]*)"', before)
+    return reason.replace(f", line {line}", f" of {tag} {name}")
 
-    Args:
-        root: of the file.
-        model: compiled by MuJoCo.
-        locked: see `load_robot`.
-        called: name of the file in sentences.
-    """
+
+def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> None:
+    """Refuse coupled or sprung moving joints, and unknown locked joints, of a file and its compiled model."""
     joints = {one.name or f"joint{k + 1}": one for k, one in enumerate(map(model.joint, range(model.njnt)))}
     if unknown := [name for name in locked if name not in joints]:
         raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], joints)}")

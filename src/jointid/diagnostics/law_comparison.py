@@ -163,13 +163,7 @@ def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
 
 
 def predict_held_out(error: FloatArray, slopes: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
-    """Errors of a fit, (rows,), each part predicted without it.
-
-    Args:
-        error: (rows,) residual of a fit to all rows.
-        slopes: (rows, parameters) its derivatives.
-        parts: (rows,) see `cut`.
-    """
+    """Errors, (rows,), of a fit to all rows with derivatives `slopes`, each part predicted without it."""
     found = np.zeros_like(error)
     for time in range(TIMES):
         kept = parts % TIMES == time

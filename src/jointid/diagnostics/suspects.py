@@ -567,7 +567,7 @@ _ROWS = (
     ),
     _load(
         "compliance", "gear that bends", None,
-        "declare the spring of this joint, or identify below its mode by a lower filtering.cutoff",
+        "declare the spring of this joint, or identify below its mode by a lower filtering.cutoff", one_sided=True,
     ),
     LIMIT,
 )  # fmt: skip

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
+from jointid.diagnostics.axis_torques import torques_of_robot
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.identify import identify
+from jointid.diagnostics.search import search_axes
 from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.verdict import Subject
@@ -82,6 +84,12 @@ def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_othe
     if right and fault == "log_gain":
         gain = 1.0 + diagnosis.axes[joint].faults.findings[0].test.size if cause is None else cause.value
         assert gain == pytest.approx(0.8, rel=0.1)  # by one step, beside the parameters of all joints
+
+
+def test_a_scale_that_takes_the_torque_away_explains_nothing() -> None:
+    records = logged_torque(records_of(arm(3), 2, noise=0.05), 1, lambda torque: 0.3 * torque)
+    torques = torques_of_robot(identified(arm(3), records), records)
+    assert not any(one.findings for one in search_axes(torques, [("rad", "N m")] * 3))
 
 
 def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:

@@ -386,7 +386,8 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
         words = f"Do not rely on it yet: {'; '.join(one.brief for one in against[:2])}"
     elif asked is not None and asked.value is None:
         remedy = "Identify the joint as rigid, or record" if asked.name == "stiffness" else "Record"
-        code, moved, words = Trust.REFUSED, [], f"{remedy} a motion that shows it"
+        code, moved, against = Trust.REFUSED, [], [one for one in loop if one.passed is None]
+        words = f"{remedy} a motion that shows it{'; loop and log were not checked' if against else ''}"
     elif moved:
         code, against = Trust.PARTLY, [loop[0]]
         words = f"You can rely on it, but not on {join([*map(in_words, moved)])}: {loop[0].brief}"
@@ -416,7 +417,8 @@ def _name_unchecked(estimate: Estimate) -> str:
         if estimate.motion_measured:
             remedy = "the motion was measured under control: what disturbs it biases these values; identify by DIDIM"
         left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
-        return f"Checked by its fit only ({left}): {remedy}"
+        rate = f", with a sample time of {1e3 * estimate.data.sample_time:.4g} ms as stated" * estimate.motion_measured
+        return f"Checked by its fit only ({left}){rate}: {remedy}"
     if loop[0].passed is None:
         axes = loop[0].values.get("axes", ())
         which = f"controller of {join(axes)}" if axes else "controller"
