@@ -65,7 +65,7 @@ def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) ->
     grows, end = h * by_state, w + h * rate
     if rate * by_state != 0.0 and grows.real < 1.0:  # the exponential of a complex step is its tangent
         more = math.expm1(grows.real)
-        end = w + rate * (more + (1.0 + more) * (grows - grows.real)) / by_state
+        end = w + (rate / by_state) * (more + (1.0 + more) * (grows - grows.real))
     then, bent = wind_up(numbers, i, way, v, end)
     return end + h * (then - rate - by_state * (end - w)) / (3.0 - 0.75 * grows) if bent != by_state else end
 

@@ -34,7 +34,7 @@ from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
 from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes, small_law
-from jointid.simulation.kernels.engine import invert
+from jointid.simulation.kernels.engine import solve
 
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of springs stiffness and damping; of both the force of what winds up, whole, first and last, its stiffness, how
@@ -220,7 +220,7 @@ def _move(
 @inline_kernel
 def _shift_edges(
     rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int, jumps: NDArray[np.bool_],
-    f: FloatArray, M: FloatArray, inverse: FloatArray, dv: FloatArray,
+    f: FloatArray, M: FloatArray, left: FloatArray, kicks: FloatArray, dv: FloatArray,
 ) -> None:  # fmt: skip
     """Add to the velocities what later edges of the torques, as a step begins, take from them.
 
@@ -228,15 +228,18 @@ def _shift_edges(
     It lies between the last step before and the first that lasts.
     """
     nd = len(dv)
-    after, before = STATE + 2 * nd, STATE + 3 * nd
+    after, before, modes = STATE + 2 * nd, STATE + 3 * nd, tape[row, STATE + 4 * nd : STATE + 5 * nd]
     for d in range(len(delays)):
         c, j, r, push = delays[d, 0], delays[d, 1], rotors[delays[d, 1]], 0.0
         if not jumps[j] or f[_GOES, r] == 0.0:
             continue
         for i in range(nd):
             push += M[r, i] * (tape[row, after + i] - tape[last, before + i])
+            kicks[i] = 0.0
+        kicks[r] = push
+        solve(M, modes, kicks, left, kicks)
         for i in range(nd):
-            dv[i, c] -= inverse[i, r] * push
+            dv[i, c] -= kicks[i]
 
 
 @inline_kernel
@@ -309,14 +312,14 @@ def follow(
     parts, steps, elements, forces, last_row = lags.shape[1], torques.shape[1], excess.shape[2], nd + ns, len(tape) - 1
     controlled, heavy = command.shape[2] > 0, rotors[: rotors.size if speeds.shape[1] > 0 else 0]
     G, rows = np.zeros((2, forces, count)), np.zeros((nd, count))
-    dq, dv, dw, dtau = first_q.copy(), first_v.copy(), np.zeros((forces, count)), np.zeros((axes, count))
+    dq, dv, dw, acts = first_q.copy(), first_v.copy(), np.zeros((forces, count)), np.zeros(axes, np.int64)
     lead, kicks = np.zeros(count), np.zeros(nd)
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
     mean, change, drive = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd)
     numbers, wound, torque = np.zeros((forces, kernels.MASS + 1)), np.zeros((1, _GONE + 1), np.complex128), np.zeros(ns)
     f, k = np.zeros((_TURNS + _GONE + 1, forces)), np.zeros((2 * (forces + len(places)), _GONE + 1))
     room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
-    inverse, left, K, C = M.copy(), M.copy(), M.copy(), M.copy()
+    left, K, C = M.copy(), M.copy(), M.copy()
     turns = _WHOLE if controlled and tree is not None else _COMPOSED
     jumps = np.zeros(axes, dtype=np.bool_)
     straight, kept, modes, rates = path
@@ -364,8 +367,7 @@ def follow(
                 source = step - lags[j, part]
                 jumps[j] = source != (step - lags[j, part - 1] if part > 0 else step - 1 - lags[j, parts - 1])
                 drive[rotors[j]] = torques[j, source] + post[j, source] if source >= 0 else torques_before[j]
-                for c in range(count if controlled else 0):
-                    dtau[j, c] = command[j, max(source, 0), c]
+                acts[j] = max(source, 0)
             last, edge = row - 1, len(seeds.delays) > 0 and at > 0
             if tree is None:  # noqa: SIM102
                 if straight:
@@ -381,7 +383,7 @@ def follow(
                         affine.fill_tangent(masses, springs, seeds, mode, lengths, rates, moves, pushes)
                     if not stepped:
                         tangent = mode * parts + part
-                        affine.cross_slopes(in_lanes, moves, pushes, tangent, kept, at, s, dtau[0], dq, dv)
+                        affine.cross_slopes(in_lanes, moves, pushes, tangent, kept, at, s, command[0, acts[0]], dq, dv)
             while row < last_row and tape[row, kernels.PART] == at:
                 h = tape[row, kernels.LENGTH]
                 if h > 0.0:
@@ -399,8 +401,7 @@ def follow(
                         wound, torque, f, k,
                     )  # fmt: skip
                     if edge:
-                        invert(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], inverse)
-                        _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, inverse, dv)
+                        _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, left, kicks, dv)
                         edge = False
                     for i in range(forces):
                         for c in range(count):
@@ -415,7 +416,7 @@ def follow(
                     for j in range(axes if controlled else 0):
                         r = rotors[j]
                         for c in range(count):
-                            G[0, r, c] += (2.0 - f[_TAKES, r]) * dtau[j, c]
+                            G[0, r, c] += (2.0 - f[_TAKES, r]) * command[j, acts[j], c]
                     if tree is not None and len(seeds.links) > 0:
                         regressor(tree, room, Y)
                         to_shafts(tree.joints, Y.T, room)
