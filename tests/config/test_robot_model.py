@@ -246,7 +246,7 @@ def test_locked_joints_load_the_others_as_if_they_stood_still(tie: str, locked: 
     ],
 )
 def test_a_tie_between_joints_that_move_names_the_key(tie: str, locked: dict[str, float]) -> None:
-    with pytest.raises(JointFileError, match=r"robot\.locked"):
+    with pytest.raises(JointFileError, match=r"robot\.locked(?!.*\{ [^'])"):  # a name may hold what TOML quotes
         read_robot(HAND.format(tie), locked=locked)
 
 
