@@ -74,14 +74,9 @@ UNFIT = [
     ([('"0.8 A s/rad"', '"0.8 A s/rad"\nlimit = "3 N m"')], "controller unit"),
     ([('"0.8 A s/rad"', '"0.8 % s/rad"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', '"0.8 A s/rad"\ngain = 2.0')], "controller.gain contradiction"),
-    (
-        [('"0.8 A s/rad"', '"0.8 A s/rad"\nintegral_time = 0.01\nintegral_gain = 100')],
-        "controller.integral_gain value",
-    ),
-    (
-        [('torque_constant = "0.72 N m/A"\n', ""), ('unit = "A"', 'unit = "N m"')],
-        "controller.velocity_gain unit",  # nothing takes amperes to the torque
-    ),
+    ([('"0.8 A s/rad"', '"0.8 A s/rad"\nintegral_time = 0.01\nintegral_gain = 100')], "controller.integral_gain value"),
+    # nothing takes amperes to the torque
+    ([('torque_constant = "0.72 N m/A"\n', ""), ('unit = "A"', 'unit = "N m"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', "0.8"), ('unit = "A"', 'unit = "V"')], "record.channels.torque unit"),
     ([('"0.8 A s/rad"', "0.8"), ("N m/A", "N m/V")], "record.channels.torque unit"),
     (
@@ -134,6 +129,7 @@ def test_behind_a_screw_the_torque_constant_is_the_motors() -> None:
     there = changed(*screw, ("A s/rad", "A s/m")).replace("[controller]", '[controller]\nside = "load"')
     assert loads(there).controller.gain == pytest.approx(0.72 * 2 * math.pi / 0.01)
     assert told(changed(*screw, ("N m/A", "N/A"))) == ["joint.torque_constant unit"]
+    assert "lead of" in next(one for one in faults(changed(screw[0])) if one.place[0] == "controller")
 
 
 def test_a_torque_in_volts_takes_the_constant_of_the_amplifier() -> None:

@@ -12,6 +12,7 @@ from jointid.common.errors import FaultsError, JointidError, MethodError, Record
 from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.analysis import rebuild_problem
+from jointid.diagnostics.changes import CHANGES
 from jointid.diagnostics.explain import Case, Cause, explain_failure, find_causes, is_small, list_cases
 from jointid.diagnostics.model_free import find_plain_cause, find_unexplained_share
 from jointid.diagnostics.score import SolvedLoop
@@ -78,9 +79,12 @@ def test_a_rigid_joint_is_fitted_below_the_resonance_of_a_short_record() -> None
     assert posed.filtering.cutoff == pytest.approx(5e-3 / axis("flexible").rate)
 
 
-def test_no_time_constant_is_near_a_filter_of_another_kind() -> None:
+def test_no_time_constant_is_near_a_filter_of_another_kind_and_a_late_log_is_told_by_an_injected_signal() -> None:
     declared = Case(*without_mistake(axis("flexible")), ji.Filtering())
     assert not is_small(Cause("velocity_filter", "", 1e-6), declared)
+    (late,) = (one for one in CHANGES if one.name == "reference_delay")
+    each = (replace(declared, record=Mock(injected=one)) for one in (None, declared.torque))
+    assert ["log" in cause.words for case in each for cause in late.say(2e-3, case)] == [True, False]
 
 
 def test_a_search_takes_the_beginning_of_a_long_record_that_moves_both_ways() -> None:

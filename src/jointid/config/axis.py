@@ -5,6 +5,7 @@ The torque constant is declared once, in [joint], for the torque channel and the
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -80,11 +81,10 @@ class AxisUnits:
         stated = None if column is None else column.stated_unit(known)
         if stated not in known:
             return None
-        try:
+        with contextlib.suppress(UnitError):  # the record is refused for it
             unit = self.drive.resolve_unit(units.unit(stated), kind).si
-        except UnitError:  # the record is refused for it
-            return None
-        return None if unit in TORQUE_UNIT.values() else unit
+            return None if unit in TORQUE_UNIT.values() else unit
+        return None
 
     def gain(self, law: Controller, given: float | None, texts: Mapping[str, str]) -> tuple[float, str]:
         """Return a controller's gain from output to torque, and its output unit.
@@ -117,12 +117,11 @@ class AxisUnits:
 
     def _torque_per(self, output: str) -> float | None:
         """Return the torque per unit of an output; None if unknown."""
-        try:
+        with contextlib.suppress(UnitError):  # a share of an undeclared rated torque
             unit = self.drive.resolve_unit(units.unit(output), self.kind_of("motor"))
-        except UnitError:  # a share of an undeclared rated torque
-            return None
-        fits = unit.si in TORQUE_UNIT.values() if self.torque is None else unit.si == self.torque
-        return unit.factor * self._through if fits else None
+            fits = unit.si in TORQUE_UNIT.values() if self.torque is None else unit.si == self.torque
+            return unit.factor * self._through if fits else None
+        return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -381,7 +380,8 @@ def _check_units(own: Values, axis: Axis) -> Iterator[Fault]:
         try:
             to_si(text, expected, kind)
         except UnitError as error:
-            yield fault_at(place, str(error), "unit")
+            slides = table == at("controller") and kind == "prismatic" and units.gear is None
+            yield fault_at(place, f"{str(error)[:-1]}{', or give the lead of the transmission' * slides}.", "unit")
 
 
 def _check_torque(axis: Axis) -> Iterator[Fault]:
