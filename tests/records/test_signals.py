@@ -5,13 +5,7 @@ import pytest
 from scipy.signal import cheby1, sosfiltfilt
 
 from jointid.records.record import Channel, Timing
-from jointid.records.signals.filtering import (
-    Filtering,
-    differentiate_twice,
-    lowpass,
-    settle,
-    window_torque,
-)
+from jointid.records.signals.filtering import Filtering, differentiate_twice, lowpass, settle, window_torque
 from jointid.simulation.excitation import pulses, trapezoids
 
 T = 1e-3

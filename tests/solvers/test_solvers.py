@@ -206,9 +206,9 @@ class Well:
 def test_a_step_of_limited_reach_does_not_leap_to_where_nothing_is_told() -> None:
     start = np.array([0.9])
     assert abs(solve(Well(), LevenbergMarquardt(1e-10), start).x[0]) > 5
-    end = solve(Well(), LevenbergMarquardt(1e-10, reach=np.array([1.0])), start)
-    assert end.status.converged
-    assert end.x[0] == pytest.approx(0.0, abs=1e-6)
+    for held in ({"reach": np.array([1.0])}, {"admits": lambda x: abs(x[0]) < 1.0}):
+        end = solve(Well(), LevenbergMarquardt(1e-10, **held), start)
+        assert end.status.converged and end.x[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_step_that_its_reach_has_cut_is_no_end() -> None:

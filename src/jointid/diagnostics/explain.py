@@ -140,8 +140,8 @@ def explain_misfit(
 
     A large misfit without a cause is reported as well, so that no other test is blamed. `findings`: None if unchecked.
     """
-    loop, error, rows = estimate.settings.loop, estimate.fit.filtered_error, estimate.rows
-    assert loop is not None and record.reference is not None
+    asked, loop, error, rows = record.reference, estimate.settings.loop, estimate.fit.filtered_error, estimate.rows
+    assert loop is not None and asked is not None
     every = findings or ()
     gross = any(is_gross(one.test, estimate.data.sample_time) for one in every)
     poor = gross or error > _SUSPICIOUS
@@ -154,13 +154,13 @@ def explain_misfit(
             poor = one.error > _SUSPICIOUS or any(is_gross(test, estimate.data.sample_time) for test in gains)
     if not poor and findings is not None and not findings:
         return None
+    fits = [f.left for f in every if f.left is not None and (len(every) == 1 or f.law or f.value is None)]
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
-    responses = model_free.find_unexplained_share(problem, record.reference.values)  # 0 if the record is too short
+    responses = 0.0 if poor and (gross or not fits) else model_free.find_unexplained_share(problem, asked.values)
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     strained = all(p.value is not None for p in rows) and any(p.of_joint and p.at_bound is not None for p in rows)
     if not (poor or strained or model_free.find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
-    fits = [f.left for f in every if f.left is not None and (len(every) == 1 or f.law or f.value is None)]
     if not gross and fits and fits[0] <= (_MORE_OF_A_LAW * responses or _FITS):
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, progress=progress)

@@ -10,7 +10,7 @@ and the best to the end.
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -89,18 +89,19 @@ class History:
     Attributes:
         progress: receives each step.
         tolerance: of the parameters and the criterion, that the search ends with.
-        evaluations: of a descent, at most.
+        evaluations: of a descent, at most. admits: the points to which its steps may lead.
         counted: the problem that is solved, with the evaluations of all.
     """
 
     progress: Progress
     tolerance: float = 1e-8
     evaluations: int = 200
+    admits: Callable[[FloatArray], bool] = lambda _: True
     counted: Counted = field(default_factory=Counted)
 
     def solve(self, problem: Any, start: FloatArray, solver: LevenbergMarquardt | None = None) -> Solved:
         """Descend from a start, by default to the tolerance, and report steps."""
-        solver = solver or least_squares(self.tolerance, self.evaluations)
+        solver = replace(solver or least_squares(self.tolerance, self.evaluations), admits=self.admits)
         self.counted.problem = problem
         size = problem.size or 1.0
 

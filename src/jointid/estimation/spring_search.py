@@ -5,9 +5,10 @@ For a joint these are tried, in order:
 1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
 2. A grid of flexible joints, a simulation each, on a band as wide as the log. Before any identification the loop is
    known: it crosses over where its torque per deviation equals the torque that the inertia needs to follow. A mode
-   that affected the tuning of the loop lies not far from there, so the grid of free-free
-   frequencies is scaled by the crossover. Half of the grid gives unstable loops, and the rest has local minima.
+   that affected the tuning lies not far from there, so the grid of free-free frequencies is scaled by the crossover.
+   Half of the grid gives unstable loops, and the rest has local minima.
 3. Rough descents from the best few, at frequencies apart, until two end together; which explain little are given up.
+   No step leads to a mode that is too fast for the log, or too much damped, to be an answer.
 4. The best solution with its Coulomb friction divided differently, or partly replaced by a constant force. The motor's
    share decides which side stops first at every reversal, so the criterion has several minima over it, and several
    starts find the same wrong one.
@@ -17,8 +18,7 @@ For a joint these are tried, in order:
 7. If 10 % is unexplained, one start alone led to the end, or its mode is too fast: the same with other inertias.
 
 A robot of rigid joints determines sums: of both sides' friction, of rotor and link. These are split, weighted by their
-accuracy, and each spring is given a frequency of rotor against link. The rest is the search of
-`robots.didim`.
+accuracy, and each spring is given a frequency of rotor against link. The rest is the search of `robots.didim`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING
@@ -88,7 +89,7 @@ _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER, _REST = 1e-3, 1e-4  # of what remains: so much less is further down; of the torque: too little to compare
 _DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
 _EXCHANGED = (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)  # of the Coulomb friction, with the constant force
-_STEP = LevenbergMarquardt(evaluations=2)
+_FOLLOWED = 10.0  # rad per sample of mode and damping: at more there is no answer, and a simulation takes long
 _MOVES = 0.05  # of the reference's largest speed: at more the motor moves at the first sample
 
 # Of a robot
@@ -123,7 +124,8 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
         require_work(problem)
         history.progress(Detail(error, "starting from a joint that follows its reference"))
-        rough, rigid = None, _follow_reference(task)
+        rough, slow = None, _rigid_problem(task, rigid_cutoff(task.record))
+        rigid = regular_start(slow.keeping({p.name: 0.0 for p in slow.joint.parameters if p.name != "inertia"}))
     motion = _find_motion(problem, rough)
 
     def search(widely: bool) -> Solved:
@@ -214,12 +216,6 @@ def _rigid_problem(task: Task, cutoff: float) -> ClosedLoopProblem:
     return problem.replace_parameters({"inertia": replace(joint.parameters[0], lower=least)})
 
 
-def _follow_reference(task: Task) -> dict[str, float]:
-    """Values of a rigid joint without friction that follows its reference."""
-    problem = _rigid_problem(task, rigid_cutoff(task.record))
-    return regular_start(problem.keeping({p.name: 0.0 for p in problem.joint.parameters if p.name != "inertia"}))
-
-
 def crossover(law: SampledLaw, inertia: float) -> float:
     """Crossover, Hz: the highest frequency of loop gain 1 on the inertia."""
     hertz = np.geomspace(1e-5, 0.5, 400) / law.period
@@ -243,8 +239,7 @@ def row_of_frequencies(low: float, high: float, ratio: float = 1.25) -> list[flo
 def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:
     """Filter the problem for a mode: default cut-off, or twice the mode.
 
-    A mode too fast for the log is disregarded, and the default holds. A requested cut-off
-    stays.
+    A mode too fast for the log is disregarded, and the default holds. A requested cut-off stays.
     """
     if filtering.cutoff:
         return problem
@@ -285,24 +280,27 @@ def search_spring(
         MethodError: no start can be simulated.
     """
     wide, ends, together = on_band(problem, filtering, math.inf), list[tuple[float, float, FloatArray]](), 0
-    rough = replace(ROUGH, poor=poor * wide.size)
+    rough, history = replace(ROUGH, poor=poor * wide.size), replace(history, admits=partial(_is_followed, wide))
     for values in _explore(wide, rigid, rows, history)[:_REFINED]:
         on = on_band(problem, filtering, frequency_of(values))
         x = history.solve(on, on.vector(values), rough).x
-        ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
+        ends.append((float(np.linalg.norm(wide.residual(x))), _mode_of(on.values(x), on.sample_time), x))
         cost, mode, x = min(ends, key=itemgetter(0))
         together = sum(_agree(end[:2], (cost, mode), wide.size) for end in ends)
         if together > 1:
             break
     on, tried = on_band(problem, filtering, mode), len(ends)
-    divided = divide_coulomb_friction(on, x, history) if together > 1 else None
-    if divided is not None:
+    if together > 1 and (divided := divide_coulomb_friction(on, x, history)) is not None:
         x, together = divided, 1
     found = history.solve(on, x, rough if together < 2 else None)
-    # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
-    followed = frequency_of(found.values) <= FASTEST / on.sample_time and found.norm < rough.poor
+    # An end that no second start leads to is refused, as is a mode too fast, or too much damped: none is worth a step.
+    followed = _mode_of(found.values, on.sample_time) <= FASTEST / on.sample_time and found.norm < rough.poor
     while followed and together < 2 and tried < len(ends) + _BESIDE:
-        beside, tried = history.solve(on, _beside(found), rough), tried + 1
+        values = found.values  # softer, more damped, with a heavier load
+        moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
+        aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
+        aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
+        beside, tried = history.solve(on, on.vector(values | aside), rough), tried + 1
         if beside.norm < (1 - _BETTER) * found.norm - _REST * on.size:  # the way back led further down
             found = history.solve(on, beside.x, rough)
             continue
@@ -312,6 +310,14 @@ def search_spring(
     found = history.solve(on, found.x) if together > 1 and tried > len(ends) else found
     message = f"{found.solution.message}; {together} of {tried} starts led there"
     return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
+
+
+def _is_followed(problem: ClosedLoopProblem, x: FloatArray) -> bool:
+    """Test whether a log can follow the mode of a candidate, and what damps it."""
+    values = problem.values(x)
+    ease = sum(1.0 / max(values[f"{side}_inertia"], 1e-300) for side in SIDES)
+    fastest = math.sqrt(max(values["stiffness"], 0.0) * ease) + values["damping"] * ease
+    return fastest * problem.sample_time <= _FOLLOWED
 
 
 def _explore(
@@ -374,6 +380,18 @@ def frequency_of(values: Mapping[str, float]) -> float:
     return FlexibleJoint.frequencies(values)["free_free"]
 
 
+def damping_ratio(values: Mapping[str, float]) -> float:
+    """Damping ratio of a flexible joint's mode; 0 without a spring."""
+    motor, load = values["motor_inertia"], values["load_inertia"]
+    size = 2 * math.sqrt(values["stiffness"] * motor * load / (motor + load))
+    return values["damping"] / size if size > 0 else 0.0
+
+
+def _mode_of(values: Mapping[str, float], sample_time: float) -> float:
+    """Free-free frequency, Hz; one too fast for the log where it does not swing, and so is refused as well."""
+    return frequency_of(values) if damping_ratio(values) <= 1.0 else 1.0 / sample_time
+
+
 def _agree(end: tuple[float, float], best: tuple[float, float], size: float) -> bool:
     """Test whether two ends agree in cost and frequency; `size` of torque."""
     (cost, frequency), (least, mode) = end, best
@@ -397,21 +415,12 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
         tried.append(problem.vector(values | moved))
     here, *left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), [x, *tried])
     nearest = [tried[i] for i in np.argsort(left)[:2]]  # a valley's two sides may have a bottom each
-    ends = in_threads(lambda at: Solved(problem, solve(problem, _STEP, at)), nearest)
+    ends = in_threads(lambda at: Solved(problem, solve(problem, LevenbergMarquardt(evaluations=2), at)), nearest)
     best = min(ends, key=attrgetter("norm"))
     if not best.norm < (1 - _BETTER) * here - _REST * problem.size:
         return None
     history.progress(Detail("with the Coulomb friction divided otherwise the model explains more"))
     return best.x
-
-
-def _beside(found: Solved) -> FloatArray:
-    """Start near an end: softer, more damped, with a heavier load."""
-    values = found.values
-    moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
-    aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
-    aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
-    return np.asarray(found.problem.vector(values | aside))
 
 
 # Of a robot

@@ -122,12 +122,11 @@ class LevenbergMarquardt:
     """Settings of bounded least squares by Levenberg-Marquardt.
 
     Attributes:
-        tolerance: relative, on the criterion and the parameters.
-        evaluations: at most, each with the derivatives.
-        reach: (parameters,) largest change of each per step; None leaves only the bounds. A step far outside the range
-            of the linear model may lower the error, and yet end where a parameter has no effect on the torque.
+        tolerance: relative, on the criterion and the parameters. evaluations: at most, each with the derivatives.
+        reach: (parameters,) largest change of each per step: farther away one may have no effect on the torque.
         worth: relative: a step with a smaller predicted decrease of the criterion is not evaluated; 0 makes every step.
         enough: norm of the residual at which the search ends; poor: with which it ends after a few evaluations.
+        admits: whether a step may lead to a point; else the point is not evaluated, and the step refused.
     """
 
     tolerance: float = 1e-8
@@ -136,6 +135,7 @@ class LevenbergMarquardt:
     worth: float = 0.0
     enough: float = 0.0
     poor: float = math.inf
+    admits: Callable[[FloatArray], bool] = lambda _: True
 
 
 def solve(
@@ -166,7 +166,7 @@ def solve(
         if solver.worth > 0.0 and damping <= _DAMPING and not cut and _gain(norm, error + J @ step) <= solver.worth:
             status = Status.WORTH
             break
-        after = counted.linearise(x + step)
+        after = counted.linearise(x + step) if solver.admits(x + step) else (np.full(1, math.inf), J)
         used, gained = used + 1, _gain(norm, *after)
         # Where the least lies at a kink, shorter steps only creep towards it.
         crossed = damping > 1.0 and reach is None and -math.inf < gained <= 0.0 and used < solver.evaluations

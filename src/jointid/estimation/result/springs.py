@@ -35,7 +35,7 @@ from jointid.estimation.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import POOR_FIT, Check, Reason, StiffnessBound, Subject, check_of, springs_checks
-from jointid.estimation.spring_search import DAMPED, FASTEST, crossover, divide, frequency_of
+from jointid.estimation.spring_search import DAMPED, FASTEST, crossover, damping_ratio, divide, frequency_of
 from jointid.models.joints import of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import Numbers
@@ -365,13 +365,6 @@ def profile_modes(
         if not any(apart < 0.04 for apart in same):  # of a mode and a share: minima so near are one
             made.minima.append(end)
     return made
-
-
-def damping_ratio(values: Mapping[str, float]) -> float:
-    """Damping ratio of a flexible joint's mode; 0 without a spring."""
-    motor, load = values["motor_inertia"], values["load_inertia"]
-    size = 2 * math.sqrt(values["stiffness"] * motor * load / (motor + load))
-    return values["damping"] / size if size > 0 else 0.0
 
 
 def _compute_cost_limit(made: ModeProfile) -> float:

@@ -328,7 +328,10 @@ class _Search:
                 "Give other frequencies, or a record in which all joints move more."
             )
         for common in 11.25, 16.875, 25.3125:  # Hz of all springs, where the first descent leads nowhere
-            if common < start.stiff and not _leads_on(end) and end.norm <= without:
+            trace, left = end.solution.trace, end.problem.norms(linearise_again(end)[0])
+            falls = not end.solution.status.converged and len(trace) > 1 and trace[-1] < 0.7 * trace[-2]
+            leads_on = falls or np.all(left <= LITTLE * end.problem.sizes)
+            if common < start.stiff and not leads_on and end.norm <= without:
                 end = min(end, begin(common), key=lambda one: one.norm)
         lost = not end.solution.status.converged and end.norm > without
         if lost:  # no better than without springs: one that has none, or high modes, is found from stiff ones
@@ -431,13 +434,6 @@ def _reweight(end: Solved) -> Simulated:
     """The problem reweighted by the errors at an end."""
     problem: Simulated = end.problem
     return problem.reweight(linearise_again(end)[0], end.x.size)
-
-
-def _leads_on(end: Solved) -> bool:
-    """Whether a descent still progresses, or leaves little of each joint's torque, at its end or on the way."""
-    trace, left = end.solution.trace, end.problem.norms(linearise_again(end)[0])
-    falls = not end.solution.status.converged and len(trace) > 1 and trace[-1] < 0.7 * trace[-2]
-    return falls or not np.any(left > LITTLE * end.problem.sizes)
 
 
 # Springs
