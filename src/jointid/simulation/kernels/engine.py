@@ -48,44 +48,42 @@ _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: abov
 
 
 @inline_kernel
-def solve(M: FloatArray, modes: FloatArray, push: FloatArray, left: FloatArray, x: FloatArray) -> bool:
-    """Divide what pushes masses by their mass matrix, 0 of masses at rest; False if it is no such matrix.
-
-    It is decomposed into L D L' in `left`, which then has L D below the diagonal D.
-    """
+def invert(M: FloatArray, modes: FloatArray, inverse: FloatArray) -> bool:
+    """Fill the inverse of a mass matrix, masses at rest with the row of the identity; False if it is no such matrix."""
     n = M.shape[0]
     for i in range(n):
-        x[i] = push[i] if modes[i] != 0.0 else 0.0
-        for j in range(i + 1):
-            left[i, j] = M[i, j]
+        for j in range(n):
+            inverse[i, j] = M[i, j] if modes[i] != 0.0 and modes[j] != 0.0 else 0.0
+        inverse[i, i] += 1.0 if modes[i] == 0.0 else 0.0
     for k in range(n):
-        if not left[k, k] > 0.0:
+        if not inverse[k, k] > 0.0:
             return False
-        share = 1.0 / left[k, k] if modes[k] != 0.0 else 0.0
-        for i in range(k + 1, n):
-            factor = share * left[i, k]
-            for j in range(k + 1, i + 1 if factor != 0.0 else 0):
-                left[i, j] -= factor * left[j, k]
-            x[i] -= factor * x[k] if modes[i] != 0.0 else 0.0
-    for k in range(n - 1, -1, -1):
-        for i in range(k + 1, n):
-            x[k] -= left[i, k] * x[i]
-        x[k] *= 1.0 / left[k, k] if modes[k] != 0.0 else 0.0
+        share = 1.0 / inverse[k, k]
+        inverse[k, k] = 1.0
+        for j in range(n):
+            inverse[k, j] *= share
+        for i in range(n):
+            factor = inverse[i, k] if i != k else 0.0
+            if factor != 0.0:
+                inverse[i, k] = 0.0
+                for j in range(n):
+                    inverse[i, j] -= factor * inverse[k, j]
     return True
 
 
 @inline_kernel
 def accelerate(
     mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
-    M: FloatArray, left: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
+    M: FloatArray, inverse: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
     grip: FloatArray, pull: FloatArray, turned: FloatArray,
 ) -> bool:  # fmt: skip
     """Compute accelerations, and friction at rest with its limits; False if M is not positive definite.
 
-    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, and bias the torques
-    that their motion takes; of other masses mobility is one over the inertia. Modes are the directions in which masses
-    and deflections move, 0 of a mass at rest; the rows of masses and springs are those of their bands and pieces.
+    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, whose inverse is filled,
+    and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes are the
+    directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are those of
+    their bands and pieces.
     """
     nd = q.size
     for i in range(nd):
@@ -109,7 +107,10 @@ def accelerate(
         grip[i], drag = laws.friction(mass, i, back, carried, time)
         held[i] -= drag * v[i] + grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode)
         a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
-    positive = tree is None or solve(M, modes, held, left, a)
+    positive = tree is None or invert(M, modes, inverse)
+    for i in range(bias.size):
+        for j in range(bias.size if modes[i] != 0.0 else 0):
+            a[i] += inverse[i, j] * held[j]
     for i in range(bias.size):
         for j in range(bias.size if modes[i] == 0.0 else 0):  # what the others' motion takes from what holds it
             held[i] -= M[i, j] * a[j]
@@ -342,7 +343,7 @@ def run(
     turned = np.zeros((places.shape[0], 3))
     mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.MASS))
     guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
-    M, factors, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
+    M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
     fresh, out, cut = np.empty(z.shape[1]), np.zeros(elements), np.zeros(elements)
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
@@ -428,7 +429,7 @@ def run(
                     laws.turn_place(places, j, q[int(places[j, kernels.WHERE])], turned)
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
-                        mass, spring, places, pairs, carriers, tree, M, factors, bias, mobility, modes, drive, time,
+                        mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive, time,
                         q, v, w, a, held, grip, pull, turned,
                     ):  # fmt: skip
                         status = kernels.NOT_POSITIVE
@@ -478,7 +479,7 @@ def run(
                             for i in range(links):
                                 M[i, i] += mass[i, kernels.INERTIA]
                         if not accelerate(
-                            mass, spring, places, pairs, carriers, tree, M, factors, bias, mobility, modes, drive,
+                            mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive,
                             time + gone, q1, v1, w1, a1, held1, grip1, pull, turned,
                         ):  # fmt: skip
                             status = kernels.NOT_POSITIVE if M[0, 0] == M[0, 0] else kernels.DIVERGED  # no number

@@ -34,7 +34,7 @@ from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
 from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes, small_law
-from jointid.simulation.kernels.engine import solve
+from jointid.simulation.kernels.engine import invert
 
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of springs stiffness and damping; of both the force of what winds up, whole, first and last, its stiffness, how
@@ -220,7 +220,7 @@ def _move(
 @inline_kernel
 def _shift_edges(
     rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int, jumps: NDArray[np.bool_],
-    f: FloatArray, M: FloatArray, left: FloatArray, kicks: FloatArray, dv: FloatArray,
+    f: FloatArray, M: FloatArray, inverse: FloatArray, dv: FloatArray,
 ) -> None:  # fmt: skip
     """Add to the velocities what later edges of the torques, as a step begins, take from them.
 
@@ -228,18 +228,15 @@ def _shift_edges(
     It lies between the last step before and the first that lasts.
     """
     nd = len(dv)
-    after, before, modes = STATE + 2 * nd, STATE + 3 * nd, tape[row, STATE + 4 * nd : STATE + 5 * nd]
+    after, before = STATE + 2 * nd, STATE + 3 * nd
     for d in range(len(delays)):
         c, j, r, push = delays[d, 0], delays[d, 1], rotors[delays[d, 1]], 0.0
         if not jumps[j] or f[_GOES, r] == 0.0:
             continue
         for i in range(nd):
             push += M[r, i] * (tape[row, after + i] - tape[last, before + i])
-            kicks[i] = 0.0
-        kicks[r] = push
-        solve(M, modes, kicks, left, kicks)
         for i in range(nd):
-            dv[i, c] -= kicks[i]
+            dv[i, c] -= inverse[i, r] * push
 
 
 @inline_kernel
@@ -319,7 +316,7 @@ def follow(
     numbers, wound, torque = np.zeros((forces, kernels.MASS + 1)), np.zeros((1, _GONE + 1), np.complex128), np.zeros(ns)
     f, k = np.zeros((_TURNS + _GONE + 1, forces)), np.zeros((2 * (forces + len(places)), _GONE + 1))
     room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
-    left, K, C = M.copy(), M.copy(), M.copy()
+    inverse, left, K, C = M.copy(), M.copy(), M.copy(), M.copy()
     turns = _WHOLE if controlled and tree is not None else _COMPOSED
     jumps = np.zeros(axes, dtype=np.bool_)
     straight, kept, modes, rates = path
@@ -401,7 +398,8 @@ def follow(
                         wound, torque, f, k,
                     )  # fmt: skip
                     if edge:
-                        _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, left, kicks, dv)
+                        invert(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], inverse)
+                        _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, inverse, dv)
                         edge = False
                     for i in range(forces):
                         for c in range(count):
