@@ -262,5 +262,5 @@ def test_a_hundred_joints_may_move_however_many_are_locked() -> None:
     robot, _ = read_robot(text, locked={f"j{k}": 0.0 for k in range(118)})
     assert robot.names == ("j118", "j119")
     for count in (120, 0):
-        with pytest.raises(JointFileError, match=rf"{count} joints move, .*robot\.locked"):
+        with pytest.raises(JointFileError, match=rf"{count} joints move; .*robot\.locked"):
             read_robot(text, locked={f"j{k}": 0.0 for k in range(120 - count)})

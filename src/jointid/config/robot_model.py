@@ -119,7 +119,7 @@ def read_robot(
             model = mujoco.MjModel.from_xml_string(text)
             _require_free(root, model, locked, called)
             if not 0 < (moving := model.njnt - len(locked)) <= _MOST_JOINTS:
-                raise MethodError(f"{moving} joints move, of 1 to {_MOST_JOINTS}, see robot.locked")
+                raise JointFileError(f"{called}: {moving} joints move; expected 1 to {_MOST_JOINTS}: see robot.locked.")
             stated = {one.get("name", ""): one.find("limit") for one in kept.iter("joint")}
             robot, carried = _build(mujoco, model, root.get("name") or root.get("model") or "robot", locked, stated)
     except (ValueError, MethodError, mujoco.FatalError, MemoryError) as error:
@@ -249,8 +249,8 @@ def _name_element(text: str, reason: str) -> str:
     """Replace the line of an error, in the text that MuJoCo reads, by the joint, link or body there."""
     *_, line = "0", *re.findall(r", line (\d+)", reason)
     before = "".join(text.splitlines()[: int(line)])
-    *_, (tag, name) = ("line", line), *re.findall(r'<(joint|link|body) (?:[^>]* )?name="([^"]*)"', before)
-    return reason.replace(f", line {line}", f" of {tag} {name}")
+    *_, (tag, name) = ("", ""), *re.findall(r'<(joint|link|body)\b(?:[^>]*? name="([^"]*)")?', before)
+    return reason.replace(f", line {line}", f" of {tag} {name}" if name else "")
 
 
 def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> None:

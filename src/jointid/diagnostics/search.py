@@ -55,7 +55,7 @@ _TOLERANCE = 1e-6  # of the refinement with a fault corrected, or under another 
 _FEWEST = 4  # rows to a column, of each fault one, and of a block in time
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not the cause
-_TAKEN = 0.5  # of a log: a scale that takes more of it away leaves little to explain
+_TAKEN = 0.2  # of a log: a scale that leaves less of it leaves nothing to explain
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 _LITTLE = 0.1  # of twice the logarithm of the first fault's likelihood ratio: that of a remainder
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
@@ -408,7 +408,7 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
             return abs(test.size - 1.0) < max(_SURELY * test.std, _NEARLY)
         apart = column - basis @ (basis.T @ column)
         size, left = float(apart @ apart), float(np.sum(rest[rows[test.axis]] ** 2))
-        taken = test.fault is suspects.LOG_GAIN and test.size < -_TAKEN
+        taken = test.fault is suspects.LOG_GAIN and abs(1.0 + test.size) < _TAKEN
         return not taken and size > ROUNDING * float(column @ column) and float(apart @ rest) ** 2 > _MUCH * left * size
 
     while shapes and np.any(residual):

@@ -258,7 +258,7 @@ class AxisFaults:
             clause = "something is wrong that is none of the known faults"
             share, alike = number(100 * self.explained, 2), " and ".join(_call(one.test.fault) for one in self.findings)
             words = f"{clause}: of these, {alike or 'none'} would explain {share} % of the squares of the residual"
-            words += "; jointid diagnose --laws compares laws of friction and spring"
+            words += "; of a single joint, jointid diagnose --laws compares laws of friction and spring"
             return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
         if self.findings:
             return tuple(map(self._describe, self.findings))

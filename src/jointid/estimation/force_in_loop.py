@@ -71,7 +71,7 @@ class RandomForce:
 
     def draw(self, samples: int, sample_time: float, random: np.random.Generator) -> FloatArray:
         """Return a force of this spectrum, (samples,)."""
-        from scipy.fft import next_fast_len
+        from scipy.fft import next_fast_len  # of other lengths a transform takes up to ten times as long
 
         period = next_fast_len(samples, real=True)
         size = np.sqrt(period * np.interp(np.fft.rfftfreq(period, sample_time), self.hertz, self.power))

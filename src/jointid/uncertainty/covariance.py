@@ -219,7 +219,7 @@ class Influence:
         shares, scores = _products(Z, slopes, first), np.add.reduceat(Z * before[:, np.newaxis], first)
         unit, norm = np.eye(len(self.spread)), partial(np.linalg.norm, axis=(1, 2))
         others = unit - self.spread @ shares
-        inverse = np.linalg.inv(others + 1e-15 * unit)  # never exactly singular, and far faster than `pinv`
+        inverse = np.linalg.inv(others + 1e-15 * np.max(np.abs(others)) * unit)  # hardly ever singular
         lost = ~(norm(others) * norm(inverse) < 1e6)
         inverse[lost] = np.linalg.pinv(others[lost], 1e-6)
         moved = inverse @ (self.spread @ scores[..., np.newaxis])

@@ -87,7 +87,7 @@ def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_othe
 
 
 def test_a_scale_that_takes_the_torque_away_explains_nothing() -> None:
-    records = logged_torque(records_of(arm(3), 2, noise=0.05), 1, lambda torque: 0.3 * torque)
+    records = logged_torque(records_of(arm(3), 2, noise=0.05), 1, lambda torque: 0.03 * torque)
     torques = torques_of_robot(identified(arm(3), records), records)
     assert not any(one.findings for one in search_axes(torques, [("rad", "N m")] * 3))
 

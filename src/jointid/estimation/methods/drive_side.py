@@ -140,8 +140,9 @@ class DriveSideFit(Method):
                 problem = problem.map_logs(_keep_reversals)
                 found = _fit_rigid(problem, history).solution
         if len(records) > 1:
-            each = np.split(found.residual, np.cumsum(problem.series)[:-1])
-            sizes = [max(float(np.linalg.norm(one)), problem.floor) / math.sqrt(one.size) for one in each]
+            left = np.split(found.residual, np.cumsum(problem.series)[:-1])
+            pairs = zip(left, (float(np.sum(one.moving)) or 1.0 for one in motions), strict=True)
+            sizes = [max(float(np.linalg.norm(e)), problem.floor) / math.sqrt(moving) for e, moving in pairs]
             logs: Any = zip(problem.logs, sizes, strict=True)
             problem = replace(problem, logs=tuple(replace(log, weight=min(sizes) / size) for log, size in logs))
             found = history.solve(problem, found.x).solution

@@ -191,7 +191,7 @@ class IDIM(Method):
         if estimator == "iv" and loop is not None:
             make = simulate_columns(inverse, loop, logs, motions)
         rows = inverse.rows(motions if make else [part for motion in motions for part in motion.split()])
-        rows = rows if len(logs) > 1 else replace(rows, series=())  # parts of a long record are one
+        rows = rows if len(logs) > 1 else replace(rows, series=())  # of several, parts of long ones count as records
         if ENCODER_OFFSET in inverse.parameters:
             with suppress(MethodError):  # nothing tells it from the other forces
                 solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET}, make)

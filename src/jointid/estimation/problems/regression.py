@@ -207,9 +207,8 @@ def _solve(rows: Rows, scale: FloatArray, instruments: FloatArray | None = None)
 
 def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
     """Error size of each row's equation in its record, (rows,)."""
-    least, stated = 1e-12 * float(np.sqrt(np.mean(rows.Y**2))), np.any(rows.W != 0.0, axis=1)
-    series = rows.series or (residual.size // rows.equations,)
-    at, each = np.cumsum((0, *series[:-1])), (residual**2, 1.0 * stated)
+    least, series = 1e-12 * float(np.sqrt(np.mean(rows.Y**2))), rows.series or (residual.size // rows.equations,)
+    at, each = np.cumsum((0, *series[:-1])), (residual**2, 1.0 * np.any(rows.W != 0.0, axis=1))
     powers, seen = (np.add.reduceat(one.reshape(rows.equations, -1), at, axis=1) for one in each)
     sizes = np.maximum(np.sqrt(powers / np.maximum(seen, 1.0)), least)  # a joint that rests leaves rows of zeros
     return np.repeat(np.resize(sizes[: rows.driven], sizes.shape), series, axis=1).ravel()
@@ -218,8 +217,8 @@ def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
 def _read_timing(held: Solution, sampled: Solution) -> Solution:
     """Choose the held or sampled torque, and widen for remaining doubt."""
     each = (np.array([held.residual, sampled.residual]) / held.scale).reshape(2, held.rows.driven, -1)
-    power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1
-    each /= np.sqrt(np.maximum(power, 1e-24 * np.mean(held.rows.Y**2)))[:, np.newaxis]  # less noise is rounding
+    power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1; or rounding
+    each /= np.sqrt(np.maximum(power, 1e-24 * np.mean((held.rows.Y / held.scale) ** 2)))[:, np.newaxis]
     change = each[1] - each[0]
     size = float(np.sum(change**2))
     timing, away, where = Timing.HELD, 1.0, "the other reading is as possible"  # half samples that are open
