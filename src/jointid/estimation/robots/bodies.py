@@ -105,8 +105,7 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
     motors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(base.joints)]
     bodies, scales = _prior_bodies(prior)
     rotors, links = prior.of_joints("rotor_inertia"), np.diag(mass_matrix_at(prior, np.zeros(n)))
-    # A URDF has no place for a rotor: 0 says nothing of it, so nothing holds it there.
-    unknown = rotors <= 0.0
+    unknown = rotors <= 0.0  # a URDF has no place for a rotor: 0 says nothing of it, so nothing holds it there
     near = np.concatenate([bodies, rotors])
     spread = _SPREAD * np.concatenate([scales, np.where(unknown, np.inf, np.maximum(rotors, 0.1 * links))])
 
@@ -127,13 +126,14 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
         return np.vstack([whiten @ weights @ slopes / larger, np.eye(11 * n, x.size) / spread[:, np.newaxis]])
 
     def misfit_of(x: FloatArray) -> float:
-        return float(np.sqrt(np.mean((whiten @ away(x)) ** 2)))
+        return float(np.hypot.reduce(whiten @ away(x)) / np.sqrt(size))
 
     lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), least])
     x = np.concatenate([bodies, np.where(unknown, 0.1 * links.max(), rotors), others])
     x = np.where(np.isfinite(lower), np.maximum(np.abs(x), 1e-9), x)  # a search does not move what is at its bound
     # Small errors make a narrow curved valley, in which one search stops far from the model: a wrist of 2 m.
-    larger = max(misfit_of(x), 1.5)
+    if not (larger := max(misfit_of(x), 1.5)) < 1e100:  # whose square is a number
+        raise MethodError("The estimate has values that no robot comes near to; identify the robot again.")
     while larger > 1.0:
         larger = max(larger / 3.0, 1.0)  # times, from search to search, that errors are smaller
         settled = 1e-2 if larger > 1.0 else 1e-6  # relative; the last search has the errors of the estimate
