@@ -63,7 +63,7 @@ def count_names(package: Path) -> int:
 
 
 def count_ideas(paths: Iterable[Path]) -> dict[str, int]:
-    """Return the numbers of classes, calls of isinstance and private constants of files."""
+    """Return the numbers of classes, isinstance calls and private constants."""
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in paths]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     calls = [node.func for node in nodes if isinstance(node, ast.Call)]

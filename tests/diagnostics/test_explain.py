@@ -18,6 +18,7 @@ from jointid.diagnostics.model_free import find_plain_cause, find_unexplained_sh
 from jointid.diagnostics.score import SolvedLoop
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
+from jointid.estimation.spring_search import _mode_of
 from jointid.models.controllers import Cascade, FirstOrder, Notch, with_numbers
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -246,12 +247,12 @@ def test_a_notch_in_the_band_is_told_from_a_lag(name: str, value: float, one: An
 
 
 def test_cases_start_again_at_the_joint_of_the_best_case() -> None:
-    """And a flexible joint is first fitted below its resonance, as rigid, whose cut-off is the paper's 5 Hz."""
     case = Case(run_spring(2.5), SPRING, ji.Filtering().resolve(1e-3, "flexible")).at("delay", (1e-3, 2e-3))
-    assert searching._pose(case, SPRING, low=True).filtering.cutoff == pytest.approx(5.0)
+    assert searching._pose(case, SPRING, low=True).filtering.cutoff == pytest.approx(5.0)  # as rigid first
     problem: Any = searching._pose(case, SPRING)
     fit, best = (searching.Fit(case, problem, by * np.ones(len(problem.free))) for by in (1e-3, 2e-3))
     assert {one.problem.values(one.x)["stiffness"] for one in searching._list_flexible_starts(fit, best)} == {2e-3}
+    assert _mode_of(dict.fromkeys(("motor_inertia", "load_inertia", "stiffness"), 1.0) | {"damping": 2.0}, 1e-3) == 1e3
 
 
 def test_no_step_leads_to_a_mode_that_the_log_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:

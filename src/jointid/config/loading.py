@@ -147,7 +147,7 @@ def save_with_controller(
 
 
 def controller_text(controller: Controller, axis: Axis | None = None) -> str:
-    """Return the table [controller] of a joint file as TOML, of a class in `LAWS`.
+    """Return the table [controller] of a class in `LAWS` as TOML.
 
     The transmission and the torque constant of the file's axis are not repeated, and units are comments.
 

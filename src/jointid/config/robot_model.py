@@ -246,7 +246,7 @@ def _is_possible(inertial: ET.Element) -> bool:
 
 
 def _name_element(text: str, reason: str) -> str:
-    """Replace the line of an error, in the text that MuJoCo reads, by the joint, link or body there."""
+    """Name the joint, link or body at an error's line of the text."""
     *_, line = "0", *re.findall(r", line (\d+)", reason)
     before = "".join(text.splitlines()[: int(line)])
     *_, (tag, name) = ("", ""), *re.findall(r'<(joint|link|body)\b(?:[^>]*? name="([^"]*)")?', before)
@@ -254,7 +254,7 @@ def _name_element(text: str, reason: str) -> str:
 
 
 def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], called: str) -> None:
-    """Refuse coupled or sprung moving joints, and unknown locked joints, of a file and its compiled model."""
+    """Refuse coupled or sprung moving joints, and unknown locked joints."""
     joints = {one.name or f"joint{k + 1}": one for k, one in enumerate(map(model.joint, range(model.njnt)))}
     if unknown := [name for name in locked if name not in joints]:
         raise JointFileError(f"robot.locked{messages.no_choice(unknown[0], joints)}")

@@ -1,4 +1,4 @@
-"""Measured and predicted torques of each axis, and columns of parameters and faults through the same filter."""
+"""Measured and predicted torques of axes, with equally filtered columns."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
 
 
 def predict_held_out(error: FloatArray, slopes: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
-    """Errors, (rows,), of a fit to all rows with derivatives `slopes`, each part predicted without it."""
+    """Errors, (rows,), of each part predicted without it, with derivatives `slopes`."""
     found = np.zeros_like(error)
     for time in range(TIMES):
         kept = parts % TIMES == time

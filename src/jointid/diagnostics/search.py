@@ -338,14 +338,14 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
                 left = (problem.under(one.controller).residual(near) for one in delays)
                 lags.append(delays[int(np.argmin([one @ one - np.sum((basis.T @ one) ** 2) for one in left]))])
             place = 0 if measured else len(laws)  # which lags behind its setpoint
-            laws[place:place] = [(one, near) for one in lags]
+            laws[place:place], place = [(one, near) for one in lags], place + len(lags)
             if lags and not (any(problem.log.seen) or suspects.LOG_DELAY.name in problem.units):  # at another instant
                 *_, alone = find(law, near, log_delay=0.0)
                 (lag, late), near, rest = find(lagging, near, **{_LAG: lag, "log_delay": 0.0})
                 one = changes.change_time(law, suspects.TORQUE_FILTER, lag)
                 words = f"{one.words}, and its log is {number(1e3 * late, 2)} ms late"
                 one = replace(one, words=words, remedy=f'{one.remedy}, and method.free = ["log_delay"]', late=late)
-                laws[place + len(lags) : place + len(lags)] = [(one, near)] * (late > 0.0 and rest < _LESS * alone)
+                laws[place:place] = [(one, near)] * (late > 0.0 and lag < _LONGEST_LAG and rest < _LESS * alone)
     return laws
 
 

@@ -89,7 +89,7 @@ class History:
     Attributes:
         progress: receives each step.
         tolerance: of the parameters and the criterion, that the search ends with.
-        evaluations: of a descent, at most. admits: the points to which its steps may lead.
+        evaluations, admits: of a descent, at most; and whether its steps may lead to a point.
         counted: the problem that is solved, with the evaluations of all.
     """
 

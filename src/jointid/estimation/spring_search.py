@@ -313,7 +313,7 @@ def search_spring(
 
 
 def _is_followed(problem: ClosedLoopProblem, x: FloatArray) -> bool:
-    """Test whether a log can follow the mode of a candidate, and what damps it."""
+    """Test whether a log can follow a candidate's mode and damping."""
     values = problem.values(x)
     ease = sum(1.0 / max(values[f"{side}_inertia"], 1e-300) for side in SIDES)
     fastest = math.sqrt(max(values["stiffness"], 0.0) * ease) + values["damping"] * ease
@@ -388,7 +388,7 @@ def damping_ratio(values: Mapping[str, float]) -> float:
 
 
 def _mode_of(values: Mapping[str, float], sample_time: float) -> float:
-    """Free-free frequency, Hz; one too fast for the log where it does not swing, and so is refused as well."""
+    """Free-free frequency, Hz; one too fast for the log if overdamped."""
     return frequency_of(values) if damping_ratio(values) <= 1.0 else 1.0 / sample_time
 
 

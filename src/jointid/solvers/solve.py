@@ -122,10 +122,10 @@ class LevenbergMarquardt:
     """Settings of bounded least squares by Levenberg-Marquardt.
 
     Attributes:
-        tolerance: relative, on the criterion and the parameters. evaluations: at most, each with the derivatives.
-        reach: (parameters,) largest change of each per step: farther away one may have no effect on the torque.
+        tolerance, evaluations: relative, on criterion and parameters; at most, each with the derivatives.
+        reach: (parameters,) largest change of each per step, None without one; far away one may have no effect.
         worth: relative: a step with a smaller predicted decrease of the criterion is not evaluated; 0 makes every step.
-        enough: norm of the residual at which the search ends; poor: with which it ends after a few evaluations.
+        enough, poor: norms of the residual at which the search ends, and from which on it ends after a few evaluations.
         admits: whether a step may lead to a point; else the point is not evaluated, and the step refused.
     """
 

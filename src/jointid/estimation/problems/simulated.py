@@ -245,7 +245,7 @@ class MotionLog:
         filtering: resolved.
         motion: as measured.
         prescribed: the motors' motion.
-        parts: number of parts of a sample. weight: factor of the rows.
+        parts, weight: number of parts of a sample; factor of the rows.
     """
 
     measured: FloatArray
@@ -325,7 +325,7 @@ class MotionLog:
         return found
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Return columns of one joint, (samples, ...), filtered and weighted, 0 at rest."""
+        """Filter and weight columns of one joint, (samples, ...), 0 at rest."""
         rows = self.weight * self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
         return rows.reshape(len(rows), *columns.shape[1:])
 

@@ -181,7 +181,7 @@ def _jointly(records: Sequence[Alone], names: Sequence[str]) -> tuple[float, int
 def drift(
     windows: Sequence[Window], x: FloatArray, free: Sequence[Parameter], units: Mapping[str, str]
 ) -> Agreement | None:
-    """Test whether segments of a record agree; None if too short. Windows are in the order of time, at a common x."""
+    """Test whether a record's segments, of windows in order, agree; None if too short."""
     count = min(24, len(windows) // (3 * len(free)))  # three windows for each parameter or more
     if count < 2:
         return None
