@@ -88,12 +88,12 @@ def test_of_every_law(make: Callable[[int], Case], law: str, monkeypatch: pytest
     """By every number of the joint, of its beginning and of its controller; of the positions, too.
 
     Friction that grows with a torque bends where that is nothing, which is no event of the run, and later steps depend
-    on when an event is. Differences of such runs need finer steps than the derivatives.
+    on when an event is: differences need finer steps. So do those of a third mass, 0.7 % off by the default step.
     """
     case = make(1)
     record = cut(case.clean, 0, 8000)
     loop, values = with_law(case, law)
-    if "load-dependent" in law or law == "stribeck":
+    if "load-dependent" in law or law in ("stribeck", "elastic-load"):
         monkeypatch.setattr(engine, "REACH", 0.1 * engine.REACH)
     experiment = prepare(loop, record)
     speed = 0.2 * float(np.ptp(simulate(case.loop, experiment, case.truth).motor_velocity))
