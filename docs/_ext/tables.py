@@ -94,11 +94,11 @@ def _with_options(page: str) -> str:
 
 def errata() -> str:
     """Return a section for each finding in the paper."""
-    return "\n".join(
-        f"## {i}. {one.item}\n\n*{one.where}*\n\n- **printed:** {one.printed}\n- **recomputed:** {one.recomputed}\n"
-        f"- **jointid:** {one.what_we_do}\n"
-        for i, one in enumerate(ERRATA, 1)
+    section = (
+        "## {}. {item}\n\n*{where}*\n\n- **printed:** {printed}\n- **recomputed:** {recomputed}\n"
+        "- **jointid:** {what_we_do}\n"
     )
+    return "\n".join(section.format(i, **one) for i, one in enumerate(ERRATA, 1))
 
 
 TABLES = {"errata": errata, "studies": lambda: make_table(STUDIES, read_entries())}

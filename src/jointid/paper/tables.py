@@ -91,9 +91,6 @@ TABLES: Mapping[int, PublishedTable] = MappingProxyType(
 DENOMINATORS: Mapping[str, str] = MappingProxyType({"DIDIM": "by (15)", "IDIM": "by the IDIM value"})
 """Denominators of the errors of Table 7, and their names in reports."""
 
-TESTS = ((TABLES[2], TABLES[3]), (TABLES[4], TABLES[5]))
-"""IDIM and DIDIM of the first test, and of the second, with the added mass."""
-
 METHODS = MappingProxyType({"IDIM": (TABLES[2], TABLES[4]), "DIDIM": (TABLES[3], TABLES[5])})
 """The first and the second test of each method."""
 
@@ -106,22 +103,15 @@ def sum_sides(values: Mapping[str, float]) -> dict[str, float]:
     return {name: found[name] for name in ("inertia", "viscous", "coulomb")}
 
 
-def compute_relative_deviations(table: PublishedTable) -> dict[str, Decimal]:
-    """Compute ``100 sigma / |chi|`` from the printed 2 sigma (Tables 1 to 5)."""
-    return {name: 50 * two_sigma / abs(value) for name, (value, two_sigma, _) in table.rows.items()}
-
-
 def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[str, Decimal]:
     """Exact changes from Table 2 to 4, or 3 to 5."""
     start, end = before.column("value"), after.column("value")
     return {name: end[name] - start[name] for name in start}
 
 
-def compute_relative_errors(
-    idim: PublishedTable, didim: PublishedTable, denominator: str = "DIDIM"
-) -> dict[str, Decimal]:
+def compute_relative_errors(idim: PublishedTable, didim: PublishedTable, way: str = "DIDIM") -> dict[str, Decimal]:
     """Column of Table 7 in %: by (15), relative to DIDIM/IDIM."""
-    of = (didim if denominator == "DIDIM" else idim).column("value")
+    of = (didim if way == "DIDIM" else idim).column("value")
     return {name: 100 * abs(change / of[name]) for name, change in compute_variations(idim, didim).items()}
 
 
@@ -132,11 +122,12 @@ def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
         columns = {method: [compute_variations(*METHODS[method])] for method in table.columns}
     elif table.number == 7:
         columns = {
-            heading: [compute_relative_errors(*test, way) for way in DENOMINATORS]
-            for heading, test in zip(table.columns, TESTS, strict=True)
+            heading: [compute_relative_errors(idim, didim, way) for way in DENOMINATORS]
+            for heading, idim, didim in zip(table.columns, METHODS["IDIM"], METHODS["DIDIM"], strict=True)
         }
     else:
-        columns = {"relative_percent": [compute_relative_deviations(table)]}
+        percent = {name: 50 * two_sigma / abs(value) for name, (value, two_sigma, _) in table.rows.items()}
+        columns = {"relative_percent": [percent]}
     return {
         (heading, name): tuple(column[name] for column in found)
         for heading, found in columns.items()
@@ -151,11 +142,6 @@ def format_as_print(value: Decimal) -> str:
     return f"{value:f}" if exponent <= 0 else f"{value.scaleb(-exponent - 1)}e{exponent + 1}"
 
 
-def format_digits(value: Decimal) -> str:
-    """Format a recomputed number with three significant digits."""
-    return number(float(value), 3)
-
-
 def compare_table(
     table: PublishedTable, run: tuple[str, ...] = (), cells: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 ) -> Table:
@@ -167,12 +153,14 @@ def compare_table(
     elif table.number == 7:
         recomputed = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in printed)
         texts = {
-            name: tuple(format_digits(found[test, name][way]) for way in range(len(DENOMINATORS)) for test in printed)
+            name: tuple(
+                number(float(found[test, name][way]), 3) for way in range(len(DENOMINATORS)) for test in printed
+            )
             for name in table.rows
         }
     else:
         printed, recomputed = ("value", "2 sigma", "%"), ("value", "%")
-        texts = {name: ("-", format_digits(found["relative_percent", name][0])) for name in table.rows}
+        texts = {name: ("-", number(float(found["relative_percent", name][0]), 3)) for name in table.rows}
     units = dict.fromkeys(table.rows, "%") if table.number == 7 else _UNITS
     rows = [
         (name, f"{SYMBOLS[name]} ({units[name]})", *_format_cells(numbers), *texts[name])

@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Facts, Table, Text, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.result.agreement import Alone
-from jointid.estimation.result.verdict import OF_MECHANICS, POOR_FIT, Subject, moved_by_loop, told_bounds
+from jointid.estimation.result.verdict import OF_MECHANICS, Subject, Trust, moved_by_loop, told_bounds, trust_in_axis
 from jointid.models.robots.robot import Robot
 from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import INTERVAL
@@ -25,6 +25,7 @@ Column: TypeAlias = tuple[str, Sequence[str], bool]
 """Header and cells of a column, and whether they are words."""
 
 _SHOWN_SHIFT = 0.5  # standard errors that a fault moves a parameter by at least to be marked beside it
+_IN_A_WORD = {Trust.RELIABLE: "yes", Trust.NOT_YET: "no", Trust.NOT_CHECKED: "unchecked"}
 _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse stands in the details only
 
 
@@ -70,7 +71,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         caption = "filtered torque that is left, of the record it was identified from"
         shown = ("stiffness or friction", [last.get(a, "-") for a in axes], True)
         yield _table(
-            caption, ("joint", axes, True), *errors, shown, ("trust", [_trust(estimate, a) for a in axes], True)
+            caption, ("joint", axes, True), *errors, shown, ("trust", [_IN_A_WORD[trust_in_axis(estimate, a)] for a in axes], True)
         )
     yield parameters_table(estimate, details=details)
     if known := [] if estimate.known is None else estimate.known.physical:
@@ -103,15 +104,6 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     if sums := [p for p in rows if p.formula not in ("", p.symbol) and (details or p.name != p.symbol)]:
         yield Text("Sums that the parameters stand for", "heading")
         yield Text("\n".join(f"{p.name} is {p.formula}" for p in sums), "list")
-
-
-def _trust(estimate: Estimate, axis: str) -> str:
-    """Whether to rely on a robot's joint, in a word."""
-    loop, left = estimate.about(Subject.LOOP), estimate.about(Subject.REPEATABLE)
-    passed = {one.passed for one in (*loop, *left) if axis in one.values.get("axes", (axis,))}
-    if False in passed or not estimate.fit.axis_errors[axis] <= POOR_FIT:
-        return "no"
-    return "yes" if loop and passed <= {True} else "unchecked"
 
 
 def _table(caption: str, *columns: Column) -> Table:

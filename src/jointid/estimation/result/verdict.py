@@ -404,6 +404,15 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
     return Message(code, words, {"reasons": [str(one.code) for one in against], "parameters": moved})
 
 
+def trust_in_axis(estimate: Estimate, axis: str) -> Trust:
+    """Trust in the values of one joint of a robot."""
+    loop, left = estimate.about(Subject.LOOP), estimate.about(Subject.REPEATABLE)
+    passed = {one.passed for one in (*loop, *left) if axis in one.values.get("axes", (axis,))}
+    if False in passed or not estimate.fit.axis_errors[axis] <= POOR_FIT:
+        return Trust.NOT_YET
+    return Trust.RELIABLE if loop and passed <= {True} else Trust.NOT_CHECKED
+
+
 def _failed(estimate: Estimate, name: Subject) -> list[Message]:
     """Return the statements that failed of a question."""
     return [one for one in estimate.about(name) if one.passed is False]
