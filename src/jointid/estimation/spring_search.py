@@ -434,11 +434,13 @@ class SplitRobot:
         problem: of the flexible robot.
         split: (parameters,) all but the springs.
         reduced: (n,) inertias that swing on the springs of free joints.
+        left: (n,) weighted errors of the joints' torques on stiff springs.
     """
 
     problem: Simulated
     split: FloatArray
     reduced: FloatArray
+    left: FloatArray
 
     @classmethod
     def of(cls, problem: Simulated, rigid: RobotFit) -> SplitRobot:
@@ -482,11 +484,11 @@ class SplitRobot:
             rotors = wanted.copy()
             rotors[joints] = values[own]
             links = np.maximum(about - rotors, _LIGHTEST * about)
-            start = cls(problem, parameters.fill(values), rotors * links / (rotors + links))
-            stiff = parameters.to_search_variables(start.values(start.stiff))
-            if outcome_of(problem.run(stiff, keep=False)) is Outcome.FINISHED:
+            start = cls(problem, parameters.fill(values), rotors * links / (rotors + links), np.zeros(0))
+            runs = problem.run(parameters.to_search_variables(start.values(start.stiff)), keep=False)
+            if outcome_of(runs) is Outcome.FINISHED:
                 break
-        return start
+        return replace(start, left=problem.norms(problem.error(runs)) / problem.sigma)
 
     @property
     def stiff(self) -> float:
@@ -504,9 +506,9 @@ class SplitRobot:
     def search(self) -> FloatArray:
         """Best frequency for each joint's own torque, (n,), from a row.
 
-        All joints have the same frequency in a run: a joint's spring has little effect on the torques of others, and a
-        run for each joint and frequency would take as many times as long. A joint without a spring has 0. Where a stiff
-        spring explains most, the highest of the row is taken: from a soft one no descent leads to a mode above it.
+        All joints have the same frequency in a run: a joint's spring has little effect on the torques of others. A
+        joint without a spring has 0. Where a stiff spring explains most, the highest of the row is taken: from a soft
+        one no descent leads to a mode above it.
         """
         problem = self.problem
         row = [f for f in _HERTZ if f < self.stiff]
@@ -519,7 +521,7 @@ class SplitRobot:
         def costs(frequency: float) -> FloatArray:
             return problem.norms(problem.residual(problem.parameters.to_search_variables(self.values(frequency))))
 
-        best = np.argmin(in_threads(costs, [*row, self.stiff]), axis=0)
+        best = np.argmin([*in_threads(costs, row), self.left], axis=0)
         return np.where(problem.parameters.base.flexible, np.take([*row, row[-1]], best), 0.0)
 
     def bound(self, problem: Simulated) -> Simulated:

@@ -12,7 +12,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Facts, Table, Text, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.result.agreement import Alone
-from jointid.estimation.result.verdict import OF_MECHANICS, Subject, Trust, moved_by_loop, told_bounds, trust_in_axis
+from jointid.estimation.result.verdict import OF_MECHANICS, Subject, moved_by_loop, told_bounds, trust_in_axis
 from jointid.models.robots.robot import Robot
 from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import INTERVAL
@@ -25,7 +25,6 @@ Column: TypeAlias = tuple[str, Sequence[str], bool]
 """Header and cells of a column, and whether they are words."""
 
 _SHOWN_SHIFT = 0.5  # standard errors that a fault moves a parameter by at least to be marked beside it
-_IN_A_WORD = {Trust.RELIABLE: "yes", Trust.NOT_YET: "no", Trust.NOT_CHECKED: "unchecked"}
 _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse stands in the details only
 
 
@@ -70,9 +69,8 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         last = {p.axis: f"{p} {p.unit}" for p in told}  # a joint's stiffness, if it has one
         caption = "filtered torque that is left, of the record it was identified from"
         shown = ("stiffness or friction", [last.get(a, "-") for a in axes], True)
-        yield _table(
-            caption, ("joint", axes, True), *errors, shown, ("trust", [_IN_A_WORD[trust_in_axis(estimate, a)] for a in axes], True)
-        )
+        trust = ("trust", [in_words(trust_in_axis(estimate, a)) for a in axes], True)
+        yield _table(caption, ("joint", axes, True), *errors, shown, trust)
     yield parameters_table(estimate, details=details)
     if known := [] if estimate.known is None else estimate.known.physical:
         each = [interval(one.value, INTERVAL * math.hypot(one.std, one.lack_of_fit)) for one in known]
