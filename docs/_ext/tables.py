@@ -1,10 +1,11 @@
-"""Tables that are made when the documentation is built: options of the commands, errata, shares.
+"""Tables that are made when the documentation is built: options of the commands, errata, shares, files.
 
 A page says where: ``<!-- table: errata -->`` is replaced. Each section of a command ends in its options.
 """
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -101,7 +102,17 @@ def errata() -> str:
     return "\n".join(section.format(i, **one) for i, one in enumerate(ERRATA, 1))
 
 
-TABLES = {"errata": errata, "studies": lambda: make_table(STUDIES, read_entries())}
+def files() -> str:
+    """Return the table of the package's files, each with the first line of its docstring."""
+    package, rows = Path(__file__).resolve().parents[2] / "src" / "jointid", ["| file | what it holds |", "|---|---|"]
+    for path in sorted(package.rglob("*.py")):
+        if said := ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))):
+            said = said.splitlines()[0].replace("|", "\\|")
+            rows.append(f"| `{path.relative_to(package).as_posix()}` | {said} |")
+    return "\n".join(rows) + "\n"
+
+
+TABLES = {"errata": errata, "files": files, "studies": lambda: make_table(STUDIES, read_entries())}
 
 
 def _fill(_: Sphinx, docname: str, source: list[str]) -> None:

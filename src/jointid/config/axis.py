@@ -227,7 +227,7 @@ class Axis:
     def reading(self) -> dict[str, Any]:
         """Arguments of `RecordReader` except the columns, of one record."""
         if (source := self.source).parts:
-            raise MethodError("record.parts are several records, and this takes one; give start and stop instead.")
+            raise MethodError("record.parts are several tests, and this takes one; give record.start and record.stop.")
         clock = {"time": source.time, "time_unit": source.time_unit, "sample_time": source.sample_time}
         joint = {"drive": self.drive, "kind": self.joint.kind, "transmission": self.joint.transmission}
         cut = Cut(source.start, source.stop, source.part, source.leave_out)

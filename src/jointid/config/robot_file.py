@@ -89,8 +89,8 @@ def _read_model(stated: Values, axes: Sequence[Values], folder: Path) -> Robot:
     ordered = reorder_joints(load_robot(folder / stated["model"], stated["locked"]), names)
     if list(ordered.names) != names:
         raise JointFileError(
-            f"joints lists {', '.join(names)}; expected {', '.join(ordered.names)}, each after its parent: "
-            f"name those that stand still in robot.locked, as locked = {{ '{ordered.names[-1]}' = 0.0 }}."
+            f"joints lists {', '.join(names)}; expected {', '.join(ordered.names)}, each after its parent: name "
+            f"those that stand still, as robot.locked = {{ {messages.format_value(ordered.names[-1])} = 0.0 }}."
         )
     ordered = ordered.turn(np.array([float(own["zero"]) for own in axes]))
     down = -np.linalg.norm(ordered.gravity) * np.array([0.0, 0.0, 1.0])

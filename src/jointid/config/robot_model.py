@@ -169,7 +169,7 @@ def _fix_bases(root: ET.Element, called: str, locked: Mapping[str, float]) -> di
                 if root.tag == "mujoco":
                     parent.remove(one)
             elif is_free or one.tag in _REFUSED or one.tag.startswith("xacro:"):
-                also = f", or name it in robot.locked, as locked = {{ '{name}' = 0.0 }}" if is_free else ""
+                also = f", or declare robot.locked = {{ {messages.format_value(name)} = 0.0 }}" if is_free else ""
                 raise JointFileError(
                     f"{called}: <{one.tag}> {name} is not read; expected rigid bodies, written out, and joints that "
                     f"turn or slide about one axis: write them so{also}."
@@ -267,8 +267,8 @@ def _require_free(root: ET.Element, model: Any, locked: Mapping[str, float], cal
     if bound := [name for name, one in moving.items() if name in tied or np.any(one.stiffness)]:
         raise JointFileError(
             f"{called}: {', '.join(bound)} are tied to other joints, or have springs to their parents; expected joints "
-            "that move on their own: name those that stand still in robot.locked, as "
-            f"locked = {{ '{bound[0]}' = 0.0 }}, or change the model."
+            "that move on their own: name those that stand still, as "
+            f"robot.locked = {{ {messages.format_value(bound[0])} = 0.0 }}, or change the model."
         )
 
 

@@ -79,7 +79,7 @@ class Source:
         if self.file is not None:
             format_of(self.file, **self.options)
         if self.parts and (self.start, self.stop, self.part) != (None, None, None):
-            raise JointFileError("parts is beside start, stop or part, which read one; keep one of them.")
+            raise JointFileError("parts is given beside start, stop or part; leave parts, or the others, out.")
 
 
 @add_settings_to_docstring

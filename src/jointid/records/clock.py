@@ -188,7 +188,7 @@ def require_spans(spans: Spans) -> None:
     """Refuse empty, reversed or overlapping time spans."""
     if not all(a < b for a, b in spans) or not all(one[1] <= other[0] for one, other in pairwise(spans)):
         said = [list(span) for span in spans]
-        raise RecordError(f"{said} are no parts of a time; expected [begin, end] of each, one after the other.")
+        raise RecordError(f"{said} overlap or are not in order; expected [begin, end] of each in s, one after another.")
 
 
 def _find_parts(stamps: FloatArray) -> list[tuple[int, int]]:

@@ -83,7 +83,7 @@ def test_a_fault_stands_beside_its_field_or_the_further_lines(changes: dict[str,
     shown = fields_of(FILLED | changes)
     placed = place_faults(refused.value, shown | {EXTRA: form.ROBOT[0].fields[0]})
     assert [*placed] == [name] and name not in placed[name][0]
-    assert name == EXTRA or placed[name][0].startswith(shown[name].label)
+    assert name == EXTRA or placed[name][0].startswith(f"“{shown[name].label}”")
 
 
 def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
@@ -95,8 +95,12 @@ def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
         with pytest.raises(JointFileError, match=r"\?|unit"):
             asks(geared)
         asks(geared | {key: "load" if key.endswith("side") else "500 A s/m"})
-    of_worker = place_faults(JointFileError("it needs the lead of the transmission"), fields_of(FILLED))
-    assert [*of_worker] == ["transmission.lead"]
+    shown = fields_of(FILLED)
+    assert [*place_faults(JointFileError("it needs the lead of the transmission"), shown)] == ["transmission.lead"]
+    said = 'velocity_gain, period = 1e-4, [ripple] period = 0.2, torque_filters = [{ kind = "notch" }], gain'
+    told = "“Velocity gain”, “Period”: 1e-4, {0[0]} (in Further lines), {0[1]} (in Further lines), gain"
+    assert form.name_fields(said, shown) == told.format(said.split(", ")[2:4])
+    assert form.name_fields(said, {}) == said
     (torque,) = (one.fields for one in form.channel_step(geared) if one.title == "Torque")
     assert [one.key.rpartition(".")[2] for one in torque[:3]] == ["column", "unit", "gain"]  # what a form shows openly
 

@@ -355,7 +355,7 @@ def ready(listener: Progress, *, derivatives: bool = True) -> None:
     """Load the compiled simulation and its derivatives; report a long compilation."""
     from jointid.simulation.warm_up import warm_up
 
-    said = "loading the simulation; the first time on a machine it is compiled, in a minute or two of processor time"
+    said = "loading the simulation; the first time on a machine it is compiled, in some 30 s of processor time"
     timer = threading.Timer(_PATIENCE, listener, [said])
     timer.daemon = True
     timer.start()

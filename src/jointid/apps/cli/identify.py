@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import DEFAULTS, Changes, Flag, Options, Quiet, deliver, show, spare
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, show, spare
 from jointid.common.errors import MethodError
 
 
@@ -72,10 +72,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     from jointid.config import controller_text, load, save_with_controller
 
     if write is not None and options.axis is not None:
-        raise MethodError(
-            "--write is for a joint file; write the learned [controller] as [joints.controller] of the axis, and "
-            "leave --write out."
-        )
+        raise MethodError("--write is for a joint file; leave it out, and copy what is printed to [joints.controller].")
     file = load(joint, [*options.changes, 'method={name="didim"}'], axis=options.axis)
     spare((options.json, write), joint, *file.inputs(options.record))
     learned = run(file.record(options.record), progress=options.progress, **file.learn_settings)
@@ -118,12 +115,9 @@ def payload(
     robot: Path,
     /,
     *,
+    options: Options = DEFAULTS,
     with_: Annotated[Path, Parameter(name="--with")],
     without: Path | None = None,
-    changes: Changes = (),
-    again: Flag = False,
-    json: Path | None = None,
-    quiet: Quiet = False,
 ) -> None:
     """Identify a robot's payload: mass, centre and inertia.
 
@@ -133,18 +127,14 @@ def payload(
 
     Args:
         robot: the robot file (TOML), which has the table [robot].
+        options: those that most commands have.
         with_: the record with the payload.
         without: the record without it, of the same or another motion, instead of the file's.
-        changes: a key of the robot file and its value, as method.estimator=ols; may be given several times.
-        again: search again, even if an estimate is kept.
-        json: also write the answer as JSON to this file.
-        quiet: print no progress.
     """
     from jointid.estimation.robots.bodies import identify_payload
 
-    spare((json,), without, with_)
-    records = () if without is None else (without,)
-    options = Options(records=records, changes=changes, again=again, json=json, quiet=quiet)
+    spare((options.json,), without, with_)
+    options = options if without is None else replace(options, records=(without,))
     file = options.load(robot)
     if file.robot is None:
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
@@ -157,4 +147,4 @@ def payload(
         file.setup, options.identify(file, checks=False)[1], file.record(with_), file.method, filtering=file.filtering,
         progress=options.progress,
     )  # fmt: skip
-    deliver(found, json)
+    deliver(found, options.json)

@@ -6,7 +6,7 @@ import os
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -118,10 +118,10 @@ def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Di
         deliver(found, options.json)
         return found
     alone = replace(options, records=(path,))
-    robot: dict[str, Any] = {} if file.robot is None else {"controllers": file.controllers}
     found = run(
         record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters, laws=laws,
-        search=lambda *_, **__: alone.find(file, record), progress=options.progress, **robot,
+        search=lambda *_, **__: alone.find(file, record), progress=options.progress,
+        controllers=() if file.robot is None else file.controllers,
     )  # fmt: skip
     deliver(found, options.json)
     return found

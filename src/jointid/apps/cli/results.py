@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from jointid.apps.cli.console import DEFAULTS, Axis, Changes, Flag, Options, deliver, ready, show, show_result, spare
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready, show, show_result, spare
 from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 
@@ -102,10 +102,7 @@ def export(
     joint: Path,
     /,
     *,
-    record: Path | None = None,
-    changes: Changes = (),
-    axis: Axis = None,
-    again: Flag = False,
+    options: Options = DEFAULTS,
     out: Path,
     format: str | None = None,  # noqa: A002
 ) -> None:
@@ -113,26 +110,24 @@ def export(
 
     Values that the format cannot represent are listed.
     The file's ending selects the format: .toml a joint file with the values filled in, .mat a linear state space for
-    MATLAB and SciPy, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator of Isaac Lab; mjlab needs --format.
+    MATLAB and SciPy, .xml MuJoCo's MJCF, .urdf URDF, .py an actuator of Isaac Lab; mjlab needs --format. --set also
+    takes a setting of the language, as export.timestep=1e-3 or export.side=motor.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot]; MJCF and URDF have bodies that fit.
-        record: to identify from, instead of the one the joint file names.
-        changes: a key of the joint file and its value, as method.frequency=30, or a setting of the language, as
-            export.timestep=1e-3 or export.side=motor; may be given several times.
-        axis: name of the joint of a robot file to export alone.
-        again: search again, even if an estimate is kept.
+        options: those that most commands have.
         out: the file to write.
         format: name of the language, as joint-file, instead of the one that the file's ending implies.
     """
     from jointid.config.toml import apply_changes
+    from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language
 
-    of_file = tuple(one for one in changes if not one.startswith("export."))
-    options = Options(records=() if record is None else (record,), changes=of_file, axis=axis, again=again, quiet=True)
+    of_file = tuple(one for one in options.changes if not one.startswith("export."))
+    settings = apply_changes({}, [one for one in options.changes if one not in of_file]).get("export", {})
+    options = replace(options, changes=of_file)
     file = options.load(joint, out)
-    settings = apply_changes({}, [one for one in changes if one not in of_file]).get("export", {})
     if unknown := settings.keys() - {"control", "delay", "period", "side", "timestep", "values"}:
         raise MethodError(f"export.{min(unknown)} is no setting of an export; leave it out.")
     language = find_language(format or out.suffix.lower())
@@ -144,6 +139,7 @@ def export(
     found = options.identify(file, several=True)[1]
     exported = run(found, language, controllers=file.controllers, **settings)
     exported.save(out)
-    for line in filter(None, (exported.note, exported)):
+    if options.json is not None:
+        write_whole(options.json, answers.dumps(answers.to_dict(found)))
+    for line in filter(None, (exported.note, exported, f"Written: {out}")):
         show(line)
-    show(f"Written: {out}")

@@ -40,6 +40,7 @@ _ALWAYS = ("torque", "reference", "motor_position")  # channels that are not fol
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
 _OF_READING = ("sample_time", "optional", "time")  # keys of a channel without a field
 _LONGEST, _MOST = 300, 100_000  # characters of a field, and of the further lines
+_STATED = re.compile(r'(?:\[(\w+)\] )?\b([a-z]\w*(?:\.\w+)*)( = (?:"[^"]*"|\[[^]]*\]|{[^}]*}|[-+.\de]+\b))?')
 _NAME = 80  # characters of a file's name
 
 Tables = dict[str, Any]
@@ -262,6 +263,19 @@ def _leave_out(tables: Tables, keys: Collection[str], place: str = "") -> Tables
     return {name: one for name, one in (kept | below).items() if one != {}}
 
 
+def name_fields(words: str, shown: Mapping[str, Field]) -> str:
+    """Replace keys in a sentence, as `[table] key = value`, by labels of fields, or refer to the further lines."""
+    labels = {name: one.label for key, one in reversed([*shown.items()]) for name in (key.rpartition(".")[2], key)}
+
+    def show(found: re.Match[str]) -> str:
+        table, key, value = found.groups(default="")
+        if label := (value or not key.isalpha()) and labels.get(f"{table}.{key}" if table else key):
+            return f"“{label}”{value.replace(' =', ':', 1)}"
+        return f"{found[0]} (in Further lines)" if value and shown else found[0]
+
+    return _STATED.sub(show, words)
+
+
 def place_faults(error: Exception | None, shown: Mapping[str, Field]) -> dict[str, list[str]]:
     """Group fault sentences, with labels for keys, by field, or by the further lines, or ""."""
     placed = dict[str, list[str]]()
@@ -270,8 +284,7 @@ def place_faults(error: Exception | None, shown: Mapping[str, Field]) -> dict[st
         keys = [dot_path(place[:n]) for n in range(len(place), 0, -1)]
         keys += (key for key in shown if "." in key and " of the ".join(reversed(key.split("."))) in fault)
         found = next((one for key in keys for one in (key, f"{key}.column") if one in shown), "")
-        said = fault.replace(found, shown[found].label, 1) if found else fault
-        placed.setdefault(found or (EXTRA if place and EXTRA in shown else ""), []).append(said)
+        placed.setdefault(found or (EXTRA if place and EXTRA in shown else ""), []).append(name_fields(fault, shown))
     return placed
 
 

@@ -140,6 +140,7 @@ class Page:
         }  # fmt: skip
         made = templates(Path(__file__).with_name("templates"))
         made.globals["unit_in_name"] = unit_in_name
+        made.filters["by_field"] = lambda words: form.name_fields(words, {} if now.robot else form.fields_of(now.texts))
         return HTMLResponse(made.get_template(f"{template}.html").render(common | values), code)
 
     def redirect(self, path: str) -> Response:
