@@ -7,7 +7,7 @@ the runs. The viscous frictions are hardly told apart, so their sum is judged as
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from jointid.estimation.descent import descend
@@ -54,8 +54,7 @@ def judge(seed: int, loop: Literal["L19", "L30"], noise: Literal["disturbance", 
     axis = twin(loop, noise=noise, seed=seed)
     record = axis.record.without("motor_position", "load_position")
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
-    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
-    problem = replace(problem, parameters=still)
+    problem = problem.keeping({"initial_velocity": 0.0})
     truth = problem.vector({**axis.truth, "initial_position": 0.0})
     end = descend(problem, truth, _ENOUGH)
     x, J = end.x, -end.jacobian

@@ -6,7 +6,7 @@ beforehand, from the sensitivities at the truth: they predict how well the stiff
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from jointid.common.messages import ignore_progress
@@ -76,5 +76,4 @@ def _problem(axis: Twin) -> ClosedLoopProblem:
     """Return the problem that an identification of a twin ends on: at rest, on a band that follows the mode."""
     record = axis.record.without("motor_position", "load_position")
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
-    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
-    return on_band(replace(problem, parameters=still), Filtering(), frequency_of(axis.truth))
+    return on_band(problem.keeping({"initial_velocity": 0.0}), Filtering(), frequency_of(axis.truth))

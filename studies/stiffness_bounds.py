@@ -109,8 +109,7 @@ def identify_plant(seed: int) -> BoundRun:
 def _predict(plant: BoundedPlant) -> float:
     """Return the relative standard deviation of the stiffness, from sensitivities and noise at the truth."""
     problem = torque_problem(plant.record, plant.loop, Filtering(), plant.loop.joint.parameters)
-    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
-    problem = on_band(replace(problem, parameters=still), Filtering(), plant.mode)
+    problem = on_band(problem.keeping({"initial_velocity": 0.0}), Filtering(), plant.mode)
     truth = problem.vector({"initial_position": 0.0, "initial_torque": 0.0} | plant.truth)
     error, J = problem.linearise(truth)
     names = [p.name for p in problem.free]

@@ -130,9 +130,7 @@ def problem(where: Setting, fault: Fault | None, noise: Noise | None, seed: int 
     assert where.record.torque is not None
     record = replace(where.record, torque=replace(where.record.torque, values=torque))
     parameters = tuple(p.fix(0.0) if fault.offset and p.name == "offset" else p for p in where.loop.joint.parameters)
-    made = torque_problem(record, where.loop, Filtering(), parameters)
-    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in made.parameters)
-    return replace(made, parameters=still)
+    return torque_problem(record, where.loop, Filtering(), parameters).keeping({"initial_velocity": 0.0})
 
 
 def solved(made: ClosedLoopProblem, where: Setting, tolerance: float = 1e-6) -> FloatArray:

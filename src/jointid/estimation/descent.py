@@ -22,6 +22,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
 from jointid.common.parameters import Bounds, Quantity
 from jointid.common.text import number, pluralise
+from jointid.estimation.parameters import Parameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position
 from jointid.models.controllers import REFERENCE
 from jointid.models.friction import PARTS, MotionSize
@@ -251,8 +252,9 @@ def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
 def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History) -> Solved:
     """Search for nonlinear laws from the solution with linear laws or spring."""
     joint, linear = problem.joint, found.problem
-    own, around = problem.parameters[: len(joint.parameters)], linear.around  # the motor may begin moving there
-    problem = replace(problem.with_log(filtering=linear.filtering), parameters=(*own, *around))
+    own, around = problem.own, linear.around  # the motor may begin moving there
+    parameters = Parameters.of_joint(joint, (*own, *around))
+    problem = replace(problem.with_log(filtering=linear.filtering), parameters=parameters)
     (run,) = linear.run(found.x)
     starts = law_starts(joint, linear.joint, found.values, run, 0, {p.name: p.start for p in own})
     history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")

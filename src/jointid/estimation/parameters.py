@@ -1,4 +1,4 @@
-"""Search parameters: those of a robot, and of a joint's surroundings.
+"""Search parameters of n axes, and of a joint's surroundings.
 
 The surroundings of a joint may be as unknown as the joint itself: its first state, its loop, its log. A problem
 fixes these at the values of the record and the joint file, unless they are made free (`surrounding`). Each is a
@@ -33,6 +33,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
 from jointid.common.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
 from jointid.models.controllers import LONGEST_DELAY, Controller, numbers_of, with_numbers
+from jointid.models.joints import Joint
 from jointid.models.robots.base_parameters import (
     INERTIAL_ORDER,
     formula_of,
@@ -144,20 +145,22 @@ def of_law(name: str) -> bool:
     return name not in INITIAL and name not in OF_LOG
 
 
-# The parameters of a robot
+# The parameters of n axes
 
 _SCALED = ("motor_inertia", "stiffness")  # what a search may take on a logarithmic scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotParameters:
-    """The parameters of a robot, and their indices among its numbers.
+class Parameters:
+    """The parameters of a robot or a joint, and their places among its numbers.
+
+    A joint's are not grouped, and stand in the order of its table, those of its surroundings after them.
 
     Attributes:
         parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm. Those with a
-            fixed value are the last.
+            fixed value are the last of a robot.
         places: of the parameters. logarithmic: (parameters,) whether a search uses the logarithm.
-        base: the robot's numbers, with 0 for those that are grouped with others.
+        base: the numbers, with 0 for those that are grouped with others.
         dropped: the places of numbers that were grouped, or have no effect.
         grouping: (parameters, dropped) share of each dropped number in each parameter.
     """
@@ -168,6 +171,18 @@ class RobotParameters:
     base: Numbers
     dropped: tuple[Place, ...]
     grouping: FloatArray
+
+    @classmethod
+    def of_joint(cls, joint: Joint, parameters: Iterable[Parameter]) -> Parameters:
+        """Parameters of a joint, with those of its surroundings."""
+        parameters = tuple(parameters)
+        count, numbers = len(parameters), Numbers.of_joint(joint, {p.name: p.start or 0.0 for p in parameters})
+        places = tuple(Place(0, p.name) for p in parameters)
+        return cls(parameters, places, np.zeros(count, dtype=np.bool_), numbers, (), np.zeros((count, 0)))
+
+    def __iter__(self) -> Iterator[Parameter]:
+        """Iterate over the parameters, fixed ones too."""
+        return iter(self.parameters)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -212,7 +227,7 @@ class RobotParameters:
             found[:, axis, own] += columns
         return found
 
-    def add(self, *more: tuple[Parameter, Place]) -> RobotParameters:
+    def add(self, *more: tuple[Parameter, Place]) -> Parameters:
         """Return these and more parameters, with which nothing is grouped."""
         alone = np.zeros((len(more), len(self.dropped)))
         found = replace(
@@ -224,7 +239,7 @@ class RobotParameters:
         )
         return found._with_fixed_last()
 
-    def _with_fixed_last(self) -> RobotParameters:
+    def _with_fixed_last(self) -> Parameters:
         return self.select([*np.flatnonzero(self._searched), *np.flatnonzero(~self._searched)])
 
     @property
@@ -305,7 +320,7 @@ class RobotParameters:
         """Return the candidate with these parameters."""
         return self.base.with_values(self.places, values)
 
-    def select(self, kept: Sequence[int]) -> RobotParameters:
+    def select(self, kept: Sequence[int]) -> Parameters:
         """Return some of the parameters."""
         kept = list(kept)
         return replace(
@@ -319,7 +334,7 @@ class RobotParameters:
 
 def robot_parameters(
     robot: Robot, *, offsets: bool = True, logarithmic: bool = False, whole: bool = True
-) -> RobotParameters:
+) -> Parameters:
     """Parameters of a robot that are identifiable with sufficient excitation.
 
     The links' parameters are grouped with friction, springs and rotors, all linear. Nonlinear parameters of the laws
@@ -336,7 +351,7 @@ def robot_parameters(
     places = _order_parameters(numbers, offsets, rising=not whole)
     kept, sums = group_columns(_random_columns(robot, numbers, places))
     dropped = [i for i in range(len(places)) if i not in kept]
-    found = RobotParameters(
+    found = Parameters(
         (),
         tuple(places[i] for i in kept),
         np.array([logarithmic and places[i].name in _SCALED for i in kept], dtype=np.bool_),
@@ -362,7 +377,7 @@ def find_free_delays(loop: RobotLoop, free: Sequence[str]) -> tuple[int, ...]:
     return tuple(j for j, name in enumerate(names) if DELAY in free or name in free)
 
 
-def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]) -> RobotParameters:
+def add_delays(parameters: Parameters, loop: RobotLoop, free: Sequence[int]) -> Parameters:
     """Add the delays of some joints' torques, starting from their controllers' delays.
 
     Raises:
@@ -376,7 +391,7 @@ def add_delays(parameters: RobotParameters, loop: RobotLoop, free: Sequence[int]
     return begin_delays(parameters.add(*more), loop)
 
 
-def begin_delays(parameters: RobotParameters, loop: RobotLoop) -> RobotParameters:
+def begin_delays(parameters: Parameters, loop: RobotLoop) -> Parameters:
     """Start the free delays of parameters from those of the controllers."""
     stated = {p: numbers_of(loop.controllers[p.axis])[DELAY] for p in parameters.places if p.name == DELAY}
     return replace(parameters, base=parameters.base.with_values([*stated], [*stated.values()]))
@@ -410,7 +425,7 @@ def standard_index(place: Place, links: int) -> int | None:
     return len(SYMBOLS) * links + place.axis if place.own == "inertia" else None
 
 
-def apply_constraints(parameters: RobotParameters, known: Mapping[str, Parameter]) -> RobotParameters:
+def apply_constraints(parameters: Parameters, known: Mapping[str, Parameter]) -> Parameters:
     """Fix parameters, moving them to the end, and tighten others' bounds.
 
     Unknown names are ignored; the value of a fixed parameter is its start.

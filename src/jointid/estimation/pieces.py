@@ -602,26 +602,22 @@ class WindowsOfLog:
                 continue
             try:
                 problem = begin_window(self.like, record).with_log(ends=2 * (self.settling,))
-                runs = problem.run(x)
-                error, measured = problem.error(runs), problem.filtered_torque
+                error, J, run = problem.rows(problem.log, x)
             except RecordError:
                 if not (chunk.number and chunk.last):  # a last one may be too short for filters
                     raise
                 continue
             if not (at := problem.log.kept).size:
                 continue
-            if runs[0].outcome is Outcome.FINISHED:
-                J = -problem.slopes(runs, x)
-            else:  # its error is large in all of its rows, so that the search turns away
-                J = np.zeros((error.size, x.size))
-                stopped = f"The window that begins at {record.begin:.0f} s cannot be simulated, {runs[0].outcome.value}"
-            rows, keep = (error, J, measured), problem.filtering.decimation or 1
+            if run.outcome is not Outcome.FINISHED:
+                stopped = f"The window that begins at {record.begin:.0f} s cannot be simulated, {run.outcome.value}"
+            rows, keep = (error, J, problem.filtered_torque), problem.filtering.decimation or 1
             label = self.places(*(one[at] for one in _commanded(problem)))
             for place in map(int, np.unique(label)):
                 sums = Sums.of(*(one[label == place] for one in rows))
                 places[place] = places[place] + sums if place in places else sums
             begin, end = (record.begin + one * problem.sample_time for one in (at[0], at[-1] + keep))
-            windows.append(Window(begin, end, Sums.of(*rows), runs[0].at_limit))
+            windows.append(Window(begin, end, Sums.of(*rows), run.at_limit))
         if not windows:
             raise MethodError(NO_MOTION)
         self.passes[key] = Pass(tuple(windows), places, still, stopped)

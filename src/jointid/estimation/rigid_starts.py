@@ -16,7 +16,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail, Progress
-from jointid.common.parameters import Bounds, Parameter
+from jointid.common.parameters import Bounds
 from jointid.common.text import number
 from jointid.estimation.descent import Solved
 from jointid.estimation.problems.inverse_model import (
@@ -115,15 +115,14 @@ def _regress_joint(
     problem: ClosedLoopProblem, torque: FloatArray, position: FloatArray, delay: float
 ) -> dict[str, float]:
     """Return a joint's parameters by IDIM on a motion, (samples,)."""
-    inverse, parameters = inverse_of_joint(problem.joint), problem.parameters
-    found = _regress(problem, inverse, parameters, torque[:, np.newaxis], position[:, np.newaxis], [delay])
+    inverse = inverse_of_joint(problem.joint)
+    found = _regress(problem, inverse, torque[:, np.newaxis], position[:, np.newaxis], [delay])
     return dict(zip(inverse.names, map(float, found), strict=True))
 
 
 def _regress(
     problem: Simulated,
     inverse: Inverse,
-    parameters: Sequence[Parameter],
     torques: FloatArray,
     positions: FloatArray,
     delays: Sequence[float],
@@ -140,7 +139,7 @@ def _regress(
     weights = np.column_stack([steady_weights(v, cutoff, motion.sample_time)[1] for v in motion.v.T])
     if np.mean(weights) >= most:  # else what is left tells less than what friction at rest bends
         motion = replace(motion, moving=weights)
-    fixed = {p.name: p for p in parameters if not p.free}
+    fixed = {p.name: p for p in problem.parameters if not p.free}
     return solve_rows(inverse.rows([inverse.turn(motion)]), "weighted", fixed, turns=_REWEIGHTINGS).values
 
 
@@ -218,7 +217,7 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
     Rows at rest are left out first, then kept: what switches brings the modes of springs down to what is slow. If a
     controller cannot be inverted, the commanded motion is taken. Regular inertias may have no positive M(q).
     """
-    log, parameters, failures = problem.log, problem.parameters, list[str]()
+    log, failures = problem.log, list[str]()
     experiment, inverse = log.experiment, inverse_of_robot(loop.robot, problem.parameters)
     commanded = experiment.references[experiment.clock.log_index // experiment.clock.lengths.size]
     delays = [one.law.delay for one in experiment.axes]
@@ -232,7 +231,7 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
                     joint = RigidJoint(link.kind)
                     alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
                     torques[:, j], positions[:, j] = (one[: len(torques)] for one in _turn_round(alone))
-            found = _regress(problem, inverse, parameters.parameters, torques, positions, delays, most)
+            found = _regress(problem, inverse, torques, positions, delays, most)
         except MethodError as error:
             failures.append(str(error))
             continue

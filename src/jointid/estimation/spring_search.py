@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -42,7 +42,7 @@ from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.common.transmission import SIDES
 from jointid.estimation.descent import NOTHING, ROUGH, ROUGHLY, History, Solved, is_significant, search_rigid_joint
 from jointid.estimation.methods import Task
-from jointid.estimation.parameters import INITIAL_STATE, RobotParameters
+from jointid.estimation.parameters import INITIAL_STATE, Parameters
 from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, outcome_of, torque_problem
 from jointid.estimation.rigid_starts import (
     first_state,
@@ -354,7 +354,7 @@ def start_with_mode(
     return divide(problem.parameters, rigid, 0.5) | split_by_mode(rigid["inertia"], share, frequency) | fixed
 
 
-def divide(parameters: Sequence[Parameter], rigid: Mapping[str, float], on_motor: float) -> dict[str, float]:
+def divide(parameters: Iterable[Parameter], rigid: Mapping[str, float], on_motor: float) -> dict[str, float]:
     """Divide a rigid joint's values between the sides of a flexible one.
 
     Speeds and displacements of friction laws are the same on both sides.
@@ -549,7 +549,7 @@ def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> Floa
     return M + np.diag([own["inertia"] for own in numbers.values])
 
 
-def _stiffen(values: FloatArray, parameters: RobotParameters, rigid: RobotFit) -> FloatArray:
+def _stiffen(values: FloatArray, parameters: Parameters, rigid: RobotFit) -> FloatArray:
     """Rigid robot's parameters, (free,), from a flexible one with stiff springs."""
     found, base, each = parameters.numbers(parameters.fill(values)), rigid.parameters.base, list[dict[str, float]]()
     for own, like in zip(found.values, base.values, strict=True):

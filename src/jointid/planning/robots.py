@@ -26,7 +26,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.diagnostics.axis_torques import torques_of_robot
-from jointid.estimation.parameters import RobotParameters, robot_parameters
+from jointid.estimation.parameters import Parameters, robot_parameters
 from jointid.estimation.problems.inverse_model import measure_motion
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
@@ -84,7 +84,7 @@ class RobotModel:
     needed = ("lower", "upper", "speed")
     kept = needed
     robots: tuple[Robot, ...]
-    base: RobotParameters
+    base: Parameters
     loop: RobotLoop | None
     samples: int
     sample_time: float
@@ -219,7 +219,7 @@ class RobotModel:
         run = require_success(Simulation.of(kept), "The robot's motion")
         problem = pose_robot(loop, run.records(driven), parameters, self.filtering)
         values = parameters.group(kept.numbers)
-        J = problem.slopes((kept,), values)
+        J = problem.log.slopes(kept, problem.keys)
         assert problem.filtering.decimation is not None
         weights = replace(problem, sigma=self.sizes / math.sqrt(problem.filtering.decimation)).weights(len(J))
         assert run.load_position is not None and run.load_velocity is not None

@@ -136,8 +136,8 @@ class DIDIM(Method):
         if spring is None or spring.shown:  # what is refused has no interval to widen; `visible` widens the rest
             known, _ = widen_for_force(known, problem, x, -J)
         if not flexible and problem.joint.friction.linear:  # else no regressor is linear
-            columns, own = problem.joint.regressor(run.motor)[0], problem.parameters[: len(problem.joint.parameters)]
-            Z, held = problem.filter(columns[:, [p.free for p in own]]), find_active_bounds(problem.free, x, error, J)
+            columns, held = problem.joint.regressor(run.motor)[0], find_active_bounds(problem.free, x, error, J)
+            Z = problem.filter(columns[:, [p.free for p in problem.own]])
             Z = np.hstack([Z, -J[:, Z.shape[1] :]])
             known = widened_to_second(known, Z, -J, error, np.array([p.name not in held for p in problem.free]))
         filtering = problem.filtering

@@ -27,7 +27,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.estimation.descent import ROUGHLY, History, Solved
 from jointid.estimation.methods import EVALUATIONS, FREQUENCIES, OFFSETS, Method, Task
-from jointid.estimation.parameters import LOG_DELAY, log_delay
+from jointid.estimation.parameters import LOG_DELAY, Parameters, log_delay
 from jointid.estimation.problems.inverse_model import (
     SAID,
     MeasuredMotion,
@@ -72,7 +72,8 @@ def motion_problem(
         )
     # A load at rest rests where it was left.
     first = tuple(replace(p, free=moves[0], start=0.0) for p in _LOAD_PARAMETERS[: 2 * flexible])
-    return ClosedLoopProblem(tuple(logs), (*parameters, *first, delay), np.ones(1), setup)
+    every = Parameters.of_joint(setup.joint, (*parameters, *first, delay))
+    return ClosedLoopProblem(tuple(logs), every, np.ones(1), setup)
 
 
 def _motion_log(record: Record, joint: Joint, filtering: Filtering) -> MotionLog:
@@ -171,7 +172,7 @@ def _keep_reversals(log: Any) -> Any:
 
 def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
     """Search from a rigid joint below the resonance; return the end."""
-    joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.parameters[-1]
+    joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.around[-1]
     rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     rows = {values["inertia"]: row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))}
@@ -184,7 +185,7 @@ def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:
     Raises:
         MethodError: its inertia is not positive.
     """
-    delay = problem.parameters[-1]
+    delay = problem.around[-1]
     linear = problem.keeping({delay.name: delay.start or 0.0})  # a torque of the wrong sign could be one far too late
     x = linear.vector({"inertia": 1.0})
     error, slopes = linear.linearise(x)

@@ -46,7 +46,7 @@ from jointid.records.signals.filtering import (
 from jointid.simulation.plant import Numbers
 
 if TYPE_CHECKING:
-    from jointid.estimation.parameters import RobotParameters
+    from jointid.estimation.parameters import Parameters
 
 ENCODER_OFFSET = Parameter("encoder_offset", "K dq0", Quantity.FORCE)
 """The spring's force by the difference of two encoders' zeros, which acts on the load and against the motor.
@@ -363,7 +363,7 @@ def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
         raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
 
 
-def inverse_of_robot(robot: Robot, parameters: RobotParameters) -> Inverse:
+def inverse_of_robot(robot: Robot, parameters: Parameters) -> Inverse:
     """Return the inverse model of a robot of rigid joints."""
 
     def columns(motion: MeasuredMotion) -> FloatArray:

@@ -32,7 +32,7 @@ from jointid.estimation.parameters import (
     INITIAL_TORQUE,
     LOG_DELAY,
     OF_LOG,
-    RobotParameters,
+    Parameters,
     log_delay,
     of_law,
     surrounding,
@@ -371,11 +371,11 @@ class Simulated:
     """
 
     logs: tuple[Log, ...]
-    parameters: RobotParameters
+    parameters: Parameters
     sigma: FloatArray
 
     @classmethod
-    def of(cls, logs: Sequence[Log], parameters: RobotParameters) -> Simulated:
+    def of(cls, logs: Sequence[Log], parameters: Parameters) -> Simulated:
         """Problem of logs, with joints scaled by their torques."""
         return cls(tuple(logs), parameters, np.std(np.vstack([log.measured for log in logs]), axis=0) + 1e-300)
 
@@ -468,11 +468,6 @@ class Simulated:
         """Unweighted filtered error of the runs, measured less predicted, (rows,)."""
         return self._rows([_filter_error(log, run) for log, run in zip(self.logs, runs, strict=True)])
 
-    def slopes(self, runs: Runs, x: FloatArray) -> FloatArray:
-        """Unweighted derivatives of filtered torques by the search variables, (rows, free)."""
-        each = [log.slopes(run, self.keys) for log, run in zip(self.logs, runs, strict=True)]
-        return np.asarray(self._rows(each) * self.scales(x))
-
     def by_joint(self, rows: FloatArray) -> FloatArray:
         """Return rows as (n, instants)."""
         return rows.reshape(self.sigma.size, -1)
@@ -519,22 +514,28 @@ class Simulated:
         error = self.error(self.run(x, keep=False))
         return np.asarray(error * self.weights(error.size))
 
+    def rows(self, log: Log, x: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
+        """Unweighted error along a log, (rows,), its derivatives, (rows, free), 0 if simulation fails, and the run."""
+        run: Any = log.run(self.numbers(x), room=_ROOM)
+        error = _filter_error(log, run)
+        if run.outcome is not Outcome.FINISHED:
+            return error, np.zeros((error.size, x.size)), run
+        return error, log.slopes(run, self.keys) * -self.scales(x), run
+
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted residual, (rows,), and derivatives, (rows, free); 0 if simulation fails.
 
         The data of a simulation are released before that of the next log.
         """
-        numbers, errors, slopes, finished = self.numbers(x), list[FloatArray](), list[FloatArray](), True
+        errors, slopes, finished = list[FloatArray](), list[FloatArray](), True
         for log in self.logs:
-            run: Any = log.run(numbers, room=_ROOM)
-            errors.append(_filter_error(log, run))
+            error, J, run = self.rows(log, x)
+            errors.append(error)
+            slopes.append(J)
             finished &= run.outcome is Outcome.FINISHED
-            slopes += [log.slopes(run, self.keys)] if finished else []
         error = self._rows(errors)
         weights = self.weights(error.size)
-        if not finished:
-            return error * weights, np.zeros((error.size, x.size))
-        return error * weights, self._rows(slopes) * -self.scales(x) * weights[:, np.newaxis]
+        return error * weights, self._rows(slopes) * (weights * finished)[:, np.newaxis]
 
 
 # The problem of one joint
@@ -548,11 +549,9 @@ class ClosedLoopProblem(Simulated):
     contain the information on the initial state and no position is differentiated.
 
     Attributes:
-        parameters: all of the joint, then of its surroundings.
         system: the simulated loop or drive side.
     """
 
-    parameters: tuple[Parameter, ...]  # type: ignore[assignment]
     system: ClosedLoop | DriveSide
 
     @property
@@ -578,52 +577,39 @@ class ClosedLoopProblem(Simulated):
         return np.concatenate([log.measured[:, 0] for log in self.logs])
 
     @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
-        return tuple(p for p in self.parameters if p.free)
+    def own(self) -> tuple[Parameter, ...]:
+        """The joint's parameters, which come first."""
+        return self.parameters.parameters[: len(self.joint.parameters)]
 
     @property
     def free_joint(self) -> tuple[Parameter, ...]:
-        """The joint's free parameters, which come first."""
-        return tuple(p for p in self.parameters[: len(self.joint.parameters)] if p.free)
+        """The joint's free parameters."""
+        return tuple(p for p in self.own if p.free)
 
     @property
     def around(self) -> tuple[Parameter, ...]:
         """The parameters of what surrounds the joint."""
-        return self.parameters[len(self.joint.parameters) :]
+        return self.parameters.parameters[len(self.joint.parameters) :]
 
     @property
     def units(self) -> dict[str, str]:
         """Of every parameter, by name."""
         return {p.name: self.joint.unit(p) for p in self.parameters}
 
-    @property
-    def keys(self) -> list[Place]:
-        """Places of the derivatives of a simulation, (free,)."""
-        return [Place(0, p.name) for p in self.free]
-
-    def scales(self, x: FloatArray) -> FloatArray:
-        """Return 1 for each free parameter, which is searched itself."""
-        return np.ones(x.size)
-
     def values(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter by name, the fixed ones too."""
-        found = dict(zip((p.name for p in self.free), map(float, x), strict=True))
-        return {p.name: found.get(p.name, float(p.start or 0.0)) for p in self.parameters}
+        return dict(zip(self.parameters.names, map(float, self.parameters.values(x)), strict=True))
 
     def vector(self, values: Mapping[str, float]) -> FloatArray:
         """Free parameters from `values`, in order; missing ones start as declared."""
         return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
 
-    def numbers(self, x: FloatArray) -> Numbers:
-        """Numbers of a candidate: those of the joint and its surroundings."""
-        return Numbers.of_joint(self.joint, self.values(x))
-
     # Other problems
 
     def replace_parameters(self, changes: Mapping[str, Parameter]) -> ClosedLoopProblem:
         """Replace the parameters of these names; others are not added."""
-        return replace(self, parameters=tuple(changes.get(p.name, p) for p in self.parameters))
+        changed = (changes.get(p.name, p) for p in self.parameters)
+        return replace(self, parameters=Parameters.of_joint(self.joint, changed))
 
     def keeping(self, values: Mapping[str, float]) -> ClosedLoopProblem:
         """Fix parameters at these values, by name; others are not added."""
@@ -637,13 +623,14 @@ class ClosedLoopProblem(Simulated):
         """
         new = [surrounding(name, self.loop.controller, self.axis.law.period) for name in names]
         kept = tuple(p for p in self.parameters if p.name not in names)
-        return replace(self, parameters=(*kept, *new))
+        return replace(self, parameters=Parameters.of_joint(self.joint, (*kept, *new)))
 
     def with_joint(self, joint: Joint, own: Sequence[Parameter] | None = None) -> ClosedLoopProblem:
         """The problem of another joint, with shared parameters as in this one."""
         given = {p.name: p for p in self.parameters}
         own = [replace(given.get(p.name, p), symbol=p.symbol) for p in joint.parameters] if own is None else own
-        return replace(self, system=replace(self.system, joint=joint), parameters=(*own, *self.around))
+        parameters = Parameters.of_joint(joint, (*own, *self.around))
+        return replace(self, system=replace(self.system, joint=joint), parameters=parameters)
 
     def with_log(self, **changes: object) -> ClosedLoopProblem:
         """Return the problem of another log."""
@@ -731,7 +718,7 @@ def torque_problem(
     lacks = all(p.name != INITIAL_TORQUE.name for p in surroundings) and not any(log.seen)
     first = replace(INITIAL_TORQUE, start=float(log.measured[0, 0]))
     around = (*surroundings, first) if lacks and log.experiment.axis.law.integrates else surroundings
-    return ClosedLoopProblem((log,), (*parameters, *around), np.ones(1), loop)
+    return ClosedLoopProblem((log,), Parameters.of_joint(loop.joint, (*parameters, *around)), np.ones(1), loop)
 
 
 def require_free(parameters: tuple[Parameter, ...]) -> None:
@@ -748,7 +735,7 @@ def require_free(parameters: tuple[Parameter, ...]) -> None:
 def pose_robot(
     setup: Robot | RobotLoop | RobotDriveSide,
     records: Records,
-    parameters: RobotParameters,
+    parameters: Parameters,
     filtering: Filtering | None = None,
     delay: float | None = 0.0,
     *,
@@ -856,7 +843,7 @@ def _motion_log(robot: Robot, records: Sequence[Record], model: str, filtering: 
     return MotionLog(motion.torque, motion.filtering, motion, prescribed), resting
 
 
-def of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
+def of_record(parameters: Parameters, robot: Robot, resting: Bools, delay: Parameter) -> Parameters:
     """Add the log's delay, and moving links' initial state, to parameters."""
     more, states = [(delay, _LATE)] if delay.free else [], list[Place]()
     for j in np.flatnonzero(np.array(robot.flexible) & ~resting).tolist():

@@ -51,7 +51,7 @@ from jointid.estimation.descent import ROUGH, History, Solved, law_starts
 from jointid.estimation.methods import Method, default_method
 from jointid.estimation.parameters import (
     DELAYS,
-    RobotParameters,
+    Parameters,
     add_delays,
     apply_constraints,
     find_free_delays,
@@ -108,7 +108,7 @@ class RobotFit:
     springs: Mapping[str, float | None]
 
     @property
-    def parameters(self) -> RobotParameters:
+    def parameters(self) -> Parameters:
         """Parameters of the identified problem."""
         return self.problem.parameters
 

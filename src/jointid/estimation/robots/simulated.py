@@ -13,7 +13,7 @@ from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, find_active_bounds
 from jointid.estimation.descent import Solved
 from jointid.estimation.methods import Method
-from jointid.estimation.parameters import RobotParameters, begin_delays, robot_parameters, with_delays
+from jointid.estimation.parameters import Parameters, begin_delays, robot_parameters, with_delays
 from jointid.estimation.problems.inverse_model import require_one_log
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter, Settings, build_estimate
@@ -43,7 +43,7 @@ class IdentifiedRobot:
     """
 
     setup: Robot | RobotLoop | RobotDriveSide
-    parameters: RobotParameters
+    parameters: Parameters
     values: FloatArray
 
     @property
@@ -149,7 +149,7 @@ def identify_simulated_robot(
     return replace(result, solved=replace(fit, problem=replace(problem, parameters=parameters)))
 
 
-def at_estimate(loop: RobotLoop, parameters: RobotParameters, values: FloatArray) -> RobotLoop:
+def at_estimate(loop: RobotLoop, parameters: Parameters, values: FloatArray) -> RobotLoop:
     """Return a loop with the delays of the torques that were identified."""
     found = zip(parameters.places, values, strict=True)
     return with_delays(loop, {place.axis: float(x) for place, x in found if place.name == DELAY})
