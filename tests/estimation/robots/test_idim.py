@@ -208,7 +208,7 @@ def test_the_inverse_model_of_a_long_record_is_made_part_by_part(monkeypatch: py
     cases: list[tuple[Any, Any]] = [(record, LOOP.joint), (axis.record, axis.loop.joint)]
     cases.append((records_of(small, 1, noise=0.5), small))
     whole = [ji.identify(one, model, IDIM(), checks=False) for one, model in cases]
-    monkeypatch.setattr("jointid.estimation.problems.inverse_model.LARGEST", 10_000)
+    monkeypatch.setattr("jointid.estimation.problems.inverse_model.BLOCK", 10_000)
     for (one, model), before in zip(cases, whole, strict=True):
         found = ji.identify(one, model, IDIM(), checks=False)
         assert found.fit.rows < before.fit.rows

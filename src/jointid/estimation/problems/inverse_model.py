@@ -63,7 +63,7 @@ REST = 0.02
 
 SAID = 0.02  # of a record: a larger share of rest is said
 SMEAR = 0.6  # of the position filter's period: from there on the errors of a filtered step add up to 0
-LARGEST = 2_400_000
+BLOCK = 2_400_000
 """Samples times the square of n masses or joints of a motion whose columns are made at once; see `split`."""
 
 _FEW = 0.1  # of the moving samples: if less were left without reversals, these stay
@@ -131,7 +131,7 @@ class MeasuredMotion:
     def split(self) -> list[MeasuredMotion]:
         """Split a long motion into parts whose columns fit in memory."""
         size, n = self.q.shape
-        count = math.ceil(size * n * n / LARGEST)
+        count = math.ceil(size * n * n / BLOCK)
         ends = np.linspace(0, size, count + 1).astype(int)
         return [self.cut(*span) for span in pairwise(ends)]
 
