@@ -10,7 +10,7 @@ and the best to the end.
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -111,6 +111,13 @@ class History:
 
         return Solved(problem, solve(self.counted, solver, start, watch))
 
+    def search(self, problem: Any, starts: Iterable[FloatArray], solver: LevenbergMarquardt | None = None) -> Solved:
+        """Descend from each start, and return the end of least error, of equal ones the first."""
+        best, *others = (self.solve(problem, x, solver) for x in starts)
+        for end in others:
+            best = end if end.norm < (1.0 - _BETTER) * best.norm else best
+        return best
+
 
 def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
     """Descend by least squares, neither reported nor counted."""
@@ -171,19 +178,20 @@ def search_rigid_joint(
     Raises:
         MethodError: the loop cannot be simulated at any start, and the sentence says why at the first.
     """
-    resting, ends, failures = problem.keeping({"initial_velocity": 0.0}), list[Solved](), list[MethodError]()
-    for count, start in enumerate(starts):
-        try:
-            started = first_positions(resting, start, history)
-        except MethodError as error:
-            failures.append(error)
-            continue
-        ends += [history.solve(resting, x) for x in started[: 1 if count else None]]
-    if failures and not any(end.norm < NOTHING * problem.size for end in ends):
+    resting, failures = problem.keeping({"initial_velocity": 0.0}), list[MethodError]()
+
+    def begin() -> Iterator[FloatArray]:
+        for count, start in enumerate(starts):
+            try:
+                yield from first_positions(resting, start, history)[: 1 if count else None]
+            except MethodError as error:
+                failures.append(error)
+        if len(failures) == len(starts):
+            raise failures[0]
+
+    best = history.search(resting, begin())
+    if failures and not best.norm < NOTHING * problem.size:
         raise failures[0]
-    best = ends[0]
-    for end in ends[1:]:
-        best = end if end.norm < (1.0 - _BETTER) * best.norm else best
     rounding = _ROUNDING * problem.size
 
     def guess_motions() -> Iterator[Mapping[str, float]]:
@@ -252,15 +260,12 @@ def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
 def from_linear_laws(problem: ClosedLoopProblem, found: Solved, history: History) -> Solved:
     """Search for nonlinear laws from the solution with linear laws or spring."""
     joint, linear = problem.joint, found.problem
-    own, around = problem.own, linear.around  # the motor may begin moving there
-    parameters = Parameters.of_joint(joint, (*own, *around))
-    problem = replace(problem.with_log(filtering=linear.filtering), parameters=parameters)
+    every = Parameters.of_joint(joint, (*problem.own, *linear.around))  # the motor may begin moving there
+    problem = replace(problem.with_log(filtering=linear.filtering), parameters=every)
     (run,) = linear.run(found.x)
-    starts = law_starts(joint, linear.joint, found.values, run, 0, {p.name: p.start for p in own})
+    starts = law_starts(joint, linear.joint, found.values, run, 0, {p.name: p.start for p in problem.own})
     history.progress(f"looking for laws that are not linear, from {pluralise(len(starts), 'start')}")
-    ends = [history.solve(problem, problem.vector(start), ROUGH) for start in starts]
-    best = min(ends, key=lambda end: end.norm)
-    end = history.solve(problem, best.x)
+    end = history.solve(problem, history.search(problem, map(problem.vector, starts), ROUGH).x)
     if not end.solution.status.converged:  # along a flat valley a second descent has its damping anew
         end = history.solve(problem, end.x)
     return end._replace(solution=replace(end.solution, starts=found.solution.starts))

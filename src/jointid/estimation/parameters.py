@@ -154,8 +154,6 @@ _SCALED = ("motor_inertia", "stiffness")  # what a search may take on a logarith
 class Parameters:
     """The parameters of a robot or a joint, and their places among its numbers.
 
-    A joint's are not grouped, and stand in the order of its table, those of its surroundings after them.
-
     Attributes:
         parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm. Those with a
             fixed value are the last of a robot.
@@ -174,7 +172,7 @@ class Parameters:
 
     @classmethod
     def of_joint(cls, joint: Joint, parameters: Iterable[Parameter]) -> Parameters:
-        """Parameters of a joint, with those of its surroundings."""
+        """Parameters of a joint in the order of its table, then of its surroundings; none is grouped."""
         parameters = tuple(parameters)
         count, numbers = len(parameters), Numbers.of_joint(joint, {p.name: p.start or 0.0 for p in parameters})
         places = tuple(Place(0, p.name) for p in parameters)
@@ -322,7 +320,6 @@ class Parameters:
 
     def select(self, kept: Sequence[int]) -> Parameters:
         """Return some of the parameters."""
-        kept = list(kept)
         return replace(
             self,
             parameters=tuple(self.parameters[i] for i in kept),

@@ -417,6 +417,11 @@ class Simulated:
         """Return the numbers of a candidate."""
         return self.parameters.numbers(self.parameters.values(x))
 
+    def vector(self, values: Mapping[str, float]) -> FloatArray:
+        """Search variables, (free,), of values by name; missing ones start as declared."""
+        found = [values.get(p.name, p.start or 0.0) for p in self.parameters]
+        return self.parameters.to_search_variables(np.array(found))
+
     def map_logs(self, change: Callable[[Any], Log]) -> Self:
         """Return the problem of changed logs; itself where none changes."""
         logs = tuple(map(change, self.logs))
@@ -599,10 +604,6 @@ class ClosedLoopProblem(Simulated):
     def values(self, x: FloatArray) -> dict[str, float]:
         """Return every parameter by name, the fixed ones too."""
         return dict(zip(self.parameters.names, map(float, self.parameters.values(x)), strict=True))
-
-    def vector(self, values: Mapping[str, float]) -> FloatArray:
-        """Free parameters from `values`, in order; missing ones start as declared."""
-        return np.array([values.get(p.name, p.start or 0.0) for p in self.free])
 
     # Other problems
 

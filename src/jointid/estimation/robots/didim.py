@@ -368,21 +368,17 @@ class _Search:
             problem = self.pose(replace(near, robot=replace(robot, joints=joints)), self.filtering, late)
             problem, own = replace(problem, sigma=sigma), problem.parameters
             values |= {p.name: p.start for p in problem.free if p.name not in values and p.start is not None}
-            starts, what = list[dict[str, float]]([{}]), "delays of the torques"
+            starts, what = [values], "delays of the torques"
             if i >= 0:
                 joint = robot.joints[i]
                 what, full = f"laws of {joint.name}", partial(name_in_robot, joint.name)
                 stated = {p.name: given[full(p.name)].start for p in joint.model.parameters if full(p.name) in given}
                 at = values_of_joint(numbers, i)
                 each = law_starts(joint.model, joint.linear.model, at, linear.runs[0], i, stated)
-                starts = [{full(name): x for name, x in one.items()} for one in each]
+                starts = [values | {full(name): x for name, x in one.items()} for one in each]
             history.progress(f"looking for the {what}, from {pluralise(len(starts), 'start')}")
-            rough, ends = problem.roughly(), list[Solved]()
-            for start in starts:
-                here = values | start
-                x = own.to_search_variables(np.array([here[p.name] if p.free else p.start for p in own.parameters]))
-                ends.append(history.solve(rough, x, ROUGH))
-            best = min(ends, key=lambda end: end.norm)
+            rough = problem.roughly()
+            best = history.search(rough, map(rough.vector, starts), ROUGH)
             if not best.solution.jacobian.any():
                 raise MethodError(
                     f"The robot cannot be simulated where the search of the {what} begins: "
