@@ -398,7 +398,7 @@ def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
                     found = solve(weighted, _SEARCH, x)
             except (JointidError, np.linalg.LinAlgError):
                 return None
-            x, left = found.x, found.residual / weighted.weights(error.size)
+            x, left = found.x, found.residual / weighted.weigh(np.ones(error.size))
         return np.asarray(problem.by_joint(left))
 
     return _Predicted(

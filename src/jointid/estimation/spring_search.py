@@ -471,7 +471,7 @@ class SplitRobot:
         zero = _stiffen(np.zeros(len(unit)), parameters, rigid)
         felt = np.column_stack([_stiffen(one, parameters, rigid) - zero for one in unit])
         # The information still holds what is known of a sum of two unknown parameters; the covariance has lost it.
-        known = triangle(rigid.slopes * rigid.problem.weights(len(rigid.slopes))[:, np.newaxis])
+        known = triangle(rigid.problem.weigh(rigid.slopes))
         own = [c for c, p in enumerate(parameters.places) if p.own == "inertia"]
         joints = np.array([parameters.places[c].axis for c in own], dtype=np.int64)
         began, lower = np.zeros(len(unit)), Bounds.of(problem.free).lower.copy()  # a friction is not negative
@@ -488,7 +488,7 @@ class SplitRobot:
             runs = problem.run(parameters.to_search_variables(start.values(start.stiff)), keep=False)
             if outcome_of(runs) is Outcome.FINISHED:
                 break
-        return replace(start, left=problem.norms(problem.error(runs)) / problem.sigma)
+        return replace(start, left=problem.norms(problem.weigh(problem.error(runs))))
 
     @property
     def stiff(self) -> float:

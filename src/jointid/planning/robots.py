@@ -221,7 +221,7 @@ class RobotModel:
         values = parameters.group(kept.numbers)
         J = problem.log.slopes(kept, problem.keys)
         assert problem.filtering.decimation is not None
-        weights = replace(problem, sigma=self.sizes / math.sqrt(problem.filtering.decimation)).weights(len(J))
+        sizes = self.sizes[:, np.newaxis] / math.sqrt(problem.filtering.decimation)
         assert run.load_position is not None and run.load_velocity is not None
         windup = np.abs(run.motor_position - run.load_position @ loop.robot.coupling.T).max(axis=0)
         q, v, a = motion
@@ -229,7 +229,7 @@ class RobotModel:
             (q,), (v, run.motor_velocity, run.load_velocity), a, run.torque, step, self.sizes,
             np.where(loop.robot.flexible, windup, np.nan),
         )  # fmt: skip
-        return _predicted(self.units, values, J * weights[:, np.newaxis], run.torque, step, reached)
+        return _predicted(self.units, values, replace(problem, sigma=sizes).weigh(J), run.torque, step, reached)
 
     def _multisines(self, modes: Mapping[str, float], limits: Sequence[AxisLimits]) -> FloatArray:
         """Multisines about the mode of each flexible joint, within limits, (samples, n)."""

@@ -73,7 +73,7 @@ def motion_problem(
     # A load at rest rests where it was left.
     first = tuple(replace(p, free=moves[0], start=0.0) for p in _LOAD_PARAMETERS[: 2 * flexible])
     every = Parameters.of_joint(setup.joint, (*parameters, *first, delay))
-    return ClosedLoopProblem(tuple(logs), every, np.ones(1), setup)
+    return ClosedLoopProblem(tuple(logs), every, np.ones((1, len(logs))), setup)
 
 
 def _motion_log(record: Record, joint: Joint, filtering: Filtering) -> MotionLog:

@@ -8,8 +8,8 @@ random robots, logged at 500 Hz, it left twice the noise otherwise. Where a moto
 out, as in IDIM. Noise of the positions is not modelled: the part that passes the filter biases the values, as in IDIM
 by least squares.
 
-Several logs share the parameters. The rows of a joint are those of all logs, so that each joint has one size of its
-error.
+Several logs share the parameters. The rows of a joint are those of all logs, each weighted by the size of its error
+in that log.
 """
 
 from __future__ import annotations
@@ -362,12 +362,12 @@ def _in_blocks(of: Callable[[Any], FloatArray], keys: Sequence[Place]) -> FloatA
 class Simulated:
     """The torques of logs against a simulation of their robot.
 
-    Rows are those of one joint after the other, which share their instants, each divided by the joint's `sigma`.
+    Rows are those of one joint after the other, which share their instants, each divided by its `sigma`.
 
     Attributes:
         logs: each simulated by itself.
         parameters: identified.
-        sigma: (n,) of the joints' errors, by which they are weighted.
+        sigma: (n, logs) of the joints' errors, by which they are weighted.
     """
 
     logs: tuple[Log, ...]
@@ -377,7 +377,8 @@ class Simulated:
     @classmethod
     def of(cls, logs: Sequence[Log], parameters: Parameters) -> Simulated:
         """Problem of logs, with joints scaled by their torques."""
-        return cls(tuple(logs), parameters, np.std(np.vstack([log.measured for log in logs]), axis=0) + 1e-300)
+        sizes = np.std(np.vstack([log.measured for log in logs]), axis=0) + 1e-300
+        return cls(tuple(logs), parameters, np.repeat(sizes[:, np.newaxis], len(logs), axis=1))
 
     @property
     def log(self) -> Any:
@@ -436,7 +437,9 @@ class Simulated:
         rows = self.by_joint(left)
         degrees = max(rows.size - count, 1) / rows.size
         least = self.floor / math.sqrt(rows.shape[1])
-        return replace(self, sigma=np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
+        parts = np.split(rows**2, np.cumsum(self.series)[:-1], axis=1)
+        power = np.column_stack([part.mean(axis=1) for part in parts])
+        return replace(self, sigma=np.maximum(np.sqrt(power / degrees), least))
 
     def runs_of(self, numbers: Numbers, *, keep: bool = True) -> Runs:
         """Simulate numbers along all logs, and keep data for derivatives."""
@@ -463,7 +466,7 @@ class Simulated:
     def left_by(self, numbers: Numbers) -> FloatArray:
         """Residual share of each joint's torque, (n,); infinite if simulation fails."""
         runs = self.run_of(numbers, keep=False)
-        return np.full(self.sigma.size, np.inf) if runs is None else self.norms(self.error(runs)) / self.sizes
+        return np.full(len(self.sigma), np.inf) if runs is None else self.norms(self.error(runs)) / self.sizes
 
     def predict(self, runs: Runs) -> FloatArray:
         """Predict the torques of all logs, (samples, n), one after the other."""
@@ -475,7 +478,7 @@ class Simulated:
 
     def by_joint(self, rows: FloatArray) -> FloatArray:
         """Return rows as (n, instants)."""
-        return rows.reshape(self.sigma.size, -1)
+        return rows.reshape(len(self.sigma), -1)
 
     def norms(self, rows: FloatArray) -> FloatArray:
         """Return the norms of the joints' rows, (n,)."""
@@ -493,7 +496,7 @@ class Simulated:
 
     def _rows(self, each: Sequence[FloatArray]) -> FloatArray:
         """Join the rows of all logs."""
-        return each[0] if len(each) == 1 else join_rows(each, self.sigma.size)  # a copy of one log's would cost time
+        return each[0] if len(each) == 1 else join_rows(each, len(self.sigma))  # a copy of one log's would cost time
 
     @property
     def sizes(self) -> FloatArray:
@@ -503,21 +506,21 @@ class Simulated:
     @property
     def size(self) -> float:
         """Norm of the weighted torques."""
-        return float(np.linalg.norm(self.sizes / self.sigma))
+        return float(np.linalg.norm(self.weigh(self.filtered_torque)))
 
     @property
     def floor(self) -> float:
         """Norm of the simulation's own error, a lower limit for joints' errors."""
         return 1e-7 * float(np.max(self.sizes))  # of the torques: an error that the simulation itself may have
 
-    def weights(self, rows: int) -> FloatArray:
-        """Return one over the size of each row's error, (rows,)."""
-        return np.repeat(1.0 / self.sigma, rows // self.sigma.size)
+    def weigh(self, rows: FloatArray) -> FloatArray:
+        """Divide rows, (rows, ...), by the sizes of their errors."""
+        each = self.series if len(self.logs) > 1 else len(rows) // len(self.sigma)
+        return np.asarray((rows.T * np.repeat(1.0 / self.sigma, each, axis=1).ravel()).T)
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
-        error = self.error(self.run(x, keep=False))
-        return np.asarray(error * self.weights(error.size))
+        return self.weigh(self.error(self.run(x, keep=False)))
 
     def rows(self, log: Log, x: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
         """Unweighted error along a log, (rows,), its derivatives, (rows, free), 0 if simulation fails, and the run."""
@@ -538,9 +541,7 @@ class Simulated:
             errors.append(error)
             slopes.append(J)
             finished &= run.outcome is Outcome.FINISHED
-        error = self._rows(errors)
-        weights = self.weights(error.size)
-        return error * weights, self._rows(slopes) * (weights * finished)[:, np.newaxis]
+        return self.weigh(self._rows(errors)), self.weigh(self._rows(slopes) if finished else 0.0 * self._rows(slopes))
 
 
 # The problem of one joint
@@ -719,7 +720,7 @@ def torque_problem(
     lacks = all(p.name != INITIAL_TORQUE.name for p in surroundings) and not any(log.seen)
     first = replace(INITIAL_TORQUE, start=float(log.measured[0, 0]))
     around = (*surroundings, first) if lacks and log.experiment.axis.law.integrates else surroundings
-    return ClosedLoopProblem((log,), Parameters.of_joint(loop.joint, (*parameters, *around)), np.ones(1), loop)
+    return ClosedLoopProblem((log,), Parameters.of_joint(loop.joint, (*parameters, *around)), np.ones((1, 1)), loop)
 
 
 def require_free(parameters: tuple[Parameter, ...]) -> None:

@@ -151,8 +151,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
             "all. Identify records with other known loads in one fit, or brake harder."
         )
     problem = problem.reweight(error, x.size)
-    weights = problem.weights(error.size)
-    influence = Influence(J * weights[:, np.newaxis], error * weights, None, problem.sigma.size, problem.series)
+    influence = Influence(problem.weigh(J), problem.weigh(error), None, len(problem.sigma), problem.series)
     covariance = influence.robust()
     if problem.log.motion_measured:
         covariance = influence.widen_for_motion(covariance)
@@ -190,7 +189,7 @@ def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: flo
 
 def linearise_again(end: Solved) -> tuple[FloatArray, FloatArray]:
     """Unweighted error, (rows,), and torque derivatives, (rows, free), at an end."""
-    weights = end.problem.weights(end.solution.residual.size)
+    weights = end.problem.weigh(np.ones(end.solution.residual.size))
     return end.solution.residual / weights, -end.solution.jacobian / weights[:, np.newaxis]
 
 
@@ -315,7 +314,7 @@ class _Search:
             history.progress(f"{names[i]}: its mode is searched from {hertz[i]:.3g} Hz")
         problem, rough = start.bound(problem), start.bound(rough)
         error = rough.error(rough.runs_of(rigid.problem.numbers(rigid.x)))
-        without = float(np.linalg.norm(error * rough.weights(error.size)))
+        without = float(np.linalg.norm(rough.weigh(error)))
 
         def begin(hertz: FloatArray | float) -> Solved:
             x = rough.parameters.to_search_variables(start.values(hertz))
@@ -400,9 +399,8 @@ def _go_on(
     """Descend from an end, with other weights or simulated finer."""
     if problem.logs is end.problem.logs:  # it is linearised there
         error, slopes = linearise_again(end)
-        weights = problem.weights(error.size)
         history.counted.problem = problem
-        history.counted.remember(end.x, error * weights, -slopes * weights[:, np.newaxis])
+        history.counted.remember(end.x, problem.weigh(error), problem.weigh(-slopes))
     return _descend(problem, end.x, aim, history, evaluations)
 
 
