@@ -49,7 +49,7 @@ class Rosenbrock:
         return Parameter("x", "x", Quantity.FORCE, upper=self.upper), Parameter("y", "y", Quantity.FORCE)
 
     def linearise(self, x: Array) -> tuple[Array, Array]:
-        assert x[0] <= self.upper
+        assert x[0] < self.upper + 1e-12
         a, b = x[0], x[1] * 1e12
         return np.array([10 * (b - a * a), 1 - a]), np.array([[-20 * a, 1e13], [-1.0, 0.0]])
 
