@@ -22,9 +22,7 @@ WOUND = {"inertia": 30.0, "viscous": 80.0, "coulomb": 20.0, "presliding_distance
 PLAIN = {"inertia": 30.0, "viscous": 80.0, "coulomb": 20.0, "offset": -1.0}
 
 
-def logged(
-    joint: RigidJoint, values: dict[str, float], law: Cascade = LAW, gain: float = 1.0, seconds: float = 4.0
-) -> Record:
+def logged(joint: RigidJoint, values: dict[str, float], law: Cascade = LAW, gain=1.0, seconds=4.0) -> Record:
     """Return a log of torque, noise of 0.3 N on it, reference and motor position."""
     reference = trapezoids((0.05, 0.1, 0.2), 2.0, 0.1, 1e-3, duration=seconds)
     record = simulated_record(ClosedLoop(joint, law), reference, values, sample_time=1e-3)

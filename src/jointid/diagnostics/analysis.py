@@ -3,8 +3,7 @@
 Spectra are those of the measured and the predicted torque, and of their difference. The response is that from the
 motor's torque to the velocities of the joint's two sides, of the linear part (`models.linear`), moving forwards.
 
-The intervals in an estimate's table come from the slopes of the criterion at one point. A profile follows the criterion
-itself, which matters where it is not a parabola, as for a stiffness that is barely identifiable.
+A profile follows the criterion where it is no parabola, as for a stiffness that is barely identifiable.
 """
 
 from __future__ import annotations

@@ -2,10 +2,8 @@
 
 A torque that is g times too large, a reference that is g times too small and a law whose gain is g times too small give
 the same record of another joint: ``u = g C(r - q)``. A number on the wrong side of a gear of ratio N is a factor of N
-or N^2. So one change stands for all of them. The factor is a hint: 57.3 is an angle in degrees, 1000 a length in mm, a
-gear's ratio or its square the wrong side of the gear.
-
-To add one, write its correction, its text and its row.
+or N^2. So one change stands for all of them. The factor is a hint: 57.3 is an angle in degrees, 1000 a length in mm. To
+add one, write its correction, its text and its row.
 
 Laws that a drive may run instead of the declared one, with the same settings, are rows, too; `list_variants` yields
 them. An integral may sum up the present error: a PI of 1 kHz and 20 ms is then 5 % stiffer, and the stiffness that is

@@ -185,10 +185,7 @@ def explain_failure(
     progress: Progress = ignore_progress,
     free: Sequence[str] = (),
 ) -> JointidError:
-    """Error of a failed identification, with or replaced by its cause.
-
-    It is returned with the remarks on the record if no cause is found.
-    """
+    """Error of a failed identification, with its cause, replaced by it, or with the record's remarks."""
     if record.remarks and not isinstance(error, FaultsError):
         error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
     causes = find_failure_causes(record, loop, free, progress)

@@ -8,9 +8,8 @@ law, delay and the gain of the log are tested before a joint is identified. If t
 `excludes` excludes other laws and logs, for any joint.
 
 `find_unexplained_share` fits free linear responses. A linear loop answers its reference linearly, and Coulomb friction
-is one more input of it, the sign of the velocity. So the torque is fitted by responses, as long as a loop remembers, to
-acceleration, velocity and direction of the reference, and to a declared injected signal. The residual is about that of
-the right controller and joint: a cause with a clearly larger residual does not explain everything.
+is one more input of it, the sign of the velocity. The residual is about that of the right controller and joint: a cause
+with a clearly larger residual does not explain everything.
 """
 
 from __future__ import annotations
@@ -450,10 +449,7 @@ def _regress_on_past(record: Record, logged: FloatArray, see: Callable[[FloatArr
 
 
 def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
-    """Residual share of a signal about its mean, and least-squares weights.
-
-    The residual is computed explicitly, not as a difference of squares.
-    """
+    """Residual share of a signal about its mean, and least-squares weights."""
     sizes = column_norms(columns)
     products = columns.T @ columns / np.outer(sizes, sizes)
     weights = np.linalg.lstsq(products, columns.T @ seen / sizes, rcond=None)[0] / sizes

@@ -69,10 +69,7 @@ _SAID = {
 
 
 class _Case(NamedTuple):
-    """A model and log: motor motion, (3, samples, n), and torques.
-
-    The torques, and 1 where a motor moves, are (samples, n).
-    """
+    """A model and log: motion, (3, samples, n), and torques, and 1 where a motor moves, each (samples, n)."""
 
     robot: Robot
     motion: FloatArray
@@ -117,10 +114,7 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
         return fit(change, least_squares(residual, start, max_nfev=_STEPS).x)
 
     def cost(one: _Fitted) -> float:
-        """Sum of squares, penalised for each number; a base counts as none.
-
-        A zero off by half a turn predicts the same as an inverted base.
-        """
+        """Sum of squares, penalised for each number but those of a base, which a zero imitates."""
         squares, x, change = one
         if change.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
             return math.inf

@@ -145,8 +145,8 @@ def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
     changes = found.shifts_to(values, *(_correct(found, one)[1] for one in rivals))  # any of them may be the cause
     left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
     if len(after.corrected) > len(found.corrected):
-        in_joint = values.keys() != after.problem.units.keys()
-        return Finding(test, None, rivals, changes, left=left if in_joint else None), after
+        fitted = not test.fault.mechanical or values.keys() != after.problem.units.keys()
+        return Finding(test, None, rivals, changes, left=left if fitted else None), after
     if test.fault is suspects.LIMIT:
         return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
     test = replace(test, size=values[test.name] - test.declared)
@@ -372,10 +372,7 @@ def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] =
 
 
 def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]:
-    """Admissible law with the largest parameter shift outside an interval, if any.
-
-    A rate must not be excluded by another one. The shift of stiffness or inertia counts first.
-    """
+    """Admissible law, of rates the likeliest, that moves stiffness or inertia furthest out of its interval, if any."""
     moving = list[tuple[float, float, Finding]]()
     for one in (one for one in tests if one.possible and one.test.fault in changes.OPEN):
         kin = (other for other in tests if other.test.fault == one.test.fault)
@@ -455,10 +452,9 @@ def search_axes(torques: AxisTorques, units: Sequence[tuple[str, str]]) -> tuple
 def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: slice = slice(None)) -> Message | None:
     """Message on a period that concentrates an axis's residual, or None.
 
-    A contact, a hand on the arm or a drive that is off acts for a part of the record. No number of the joint, the loop
-    or the log explains it, and each that is fitted to it is wrong. A run of blocks is a finding where its mean square
-    and that of most of its blocks are far above that of the rest. A run at the beginning is none: a wrong model of the
-    first motion is seen there. The fit follows the part, and so errs elsewhere: it is made again without the part.
+    A contact, a hand on the arm or a drive that is off acts for a part of the record. A run of blocks is a finding
+    where its mean square and that of most of its blocks are far above that of the rest. A run at the beginning is none:
+    a wrong model of the first motion is seen there. The fit follows the part, and is made again without it.
 
     Residual, orthonormal `basis` of all parameters' columns, and time are of the rows of all axes; `rows` of one.
     """

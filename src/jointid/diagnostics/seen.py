@@ -113,10 +113,8 @@ class Seen:
     def vary(self, values: Mapping[str, float], size: float, **laws: Spring | Friction) -> FloatArray | None:
         """Torque change of a flexible joint by other laws, per size.
 
-        The joint is simulated with the law, as a large change has effects of higher order, and the joint's parameters
-        absorb a part of it. A derivative does not show the second mode of a joint with one mode.
-
-        If one of the `values` that differ from the joint's is fixed, the result is None.
+        The joint is simulated with the law, as a large change has effects of higher order. If one of the `values` that
+        differ from the joint's is fixed, the result is None.
         """
         assert self.loop is not None
         problem = self.loop[0]

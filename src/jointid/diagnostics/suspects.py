@@ -1,8 +1,7 @@
 """Table of fault hypotheses of an axis, their tests and findings.
 
 Each is a row, in the order of the tests. It is tested as a small deviation, by the change of the axis's torque per unit
-of it. All of its properties are fields of `Fault`, which the tests and the report read. Corrections of large ones are
-in `changes`. To add one, write its columns, and its row.
+of it. Corrections of large ones are in `changes`. To add one, write its columns, and its row.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,9 +15,12 @@ from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
+from jointid.common.transmission import Side
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.verdict import Reason
+from jointid.models.controllers import respond
+from jointid.models.controllers.sampled import REFERENCE
 from jointid.models.friction import PARTS, Friction
 from jointid.models.springs import Spring, swinging_part
 from jointid.simulation.controller_torque import SeenPosition
@@ -31,7 +33,8 @@ _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: t
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
 _SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
 _LEAST_SAG = 0.04  # of the torque at the peak: to so much a torque constant is known to be one
-_WAVES, _TURNS = 4, 1.5  # periods in the travel; rad of a motor, at least, that show an error of each turn
+_LEAST_SHARE = 0.5  # of a change that a drive makes as a whole, or not at all
+_WAVES, _TURNED = 4, 1.0  # periods in the travel; rad at least, that show an error of each turn, or a weight
 _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
 _OF_LOAD = 1.0  # shape of a friction under load that is the load's; that of the motor has none
@@ -228,9 +231,8 @@ class AxisFaults:
         findings: faults found, the likeliest first.
         tests: of every fault as if it were the only one, the likeliest first.
         units: of "torque" and "position".
-        suspected: faults that are not named, and whose shifts the intervals hold. One of the mechanics that is
-            significant only at the level of those of the loop; without a finding, one of loop or log that the motor
-            position excludes, as the joint may have the same effect; and another law that the record does not
+        suspected: faults that are not named, and whose shifts the intervals hold: one of the mechanics that is nearly
+            significant; one of loop or log that the motor position excludes; and another law that the record does not
             exclude, and that would shift a parameter out of its interval.
         part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
         explained: share of the squares of the residual that the faults explain together, if they leave more than
@@ -351,20 +353,34 @@ def _hang(seen: Seen) -> Columns:
     yield from ((hangs, np.sin(hangs) * cosine - np.cos(hangs) * sine) for hangs in _HANGS)
 
 
-def _misread(seen: Seen) -> Columns:
-    """Yield the answer of a loop to an encoder that is not centred: its position errs by a wave in each turn.
+def _in_turns(side: Side, seen: Seen) -> Columns:
+    """Yield the answer of a loop to an error of its position in each turn, or to a load's weight that is not logged.
 
     What the law puts out for that error is a force on the motor, and is in the logged torque itself.
     """
-    angle = seen.turned("motor")
-    if angle is None or seen.loop is None or np.ptp(angle) < _TURNS or any(seen.loop[0].log.seen):
+    angle = seen.turned(side)
+    if angle is None or seen.loop is None or np.ptp(angle) < _TURNED or any(seen.loop[0].log.seen):
         return
-    problem, law = seen.loop[0], SeenPosition(seen.loop[0].axis)
-    errors = (law.respond(one, 0.0 * law.axis.inputs) for one in (np.sin(angle), np.cos(angle)))
-    raw, basis = np.column_stack([seen.force(one, one) for one in errors]), orthonormal_basis(seen.own, _RANK)
-    filtered = problem.filter(raw)
+    law, waves = SeenPosition(seen.loop[0].axis), [np.sin(angle), np.cos(angle)]
+    forces = [law.respond(one, 0.0 * law.axis.inputs) for one in waves] if side == "motor" else waves
+    raw, basis = np.column_stack([seen.force(one, one) for one in forces]), orthonormal_basis(seen.own, _RANK)
+    filtered = seen.loop[0].filter(raw)
     weights = np.linalg.lstsq(filtered - basis @ (basis.T @ filtered), seen.residual, rcond=_RANK)[0]
     yield None, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
+
+
+def _follow_load(seen: Seen) -> Columns:
+    """Yield the answer of a cascade whose position, but not its velocity, errs by the wind-up of the spring."""
+    if seen.loop is None or not seen.is_flexible or any(seen.loop[0].log.seen):
+        return
+    axis, run = seen.loop[0].axis, seen.loop[0].simulate(seen.loop[1])
+    cascade: Any = axis.controller
+    inputs = np.zeros_like(axis.inputs)
+    if getattr(cascade, "nested", False) and run.load_position is not None and run.load_position.size == len(inputs):
+        inputs[:, REFERENCE] = run.motor_position - run.load_position
+        law = axis.law_of(replace(cascade, velocity_feedforward=0.0))
+        force = respond(law, inputs, law.known_memory(inputs))[:, law.output]
+        yield None, seen.force(force, force)
 
 
 def _cog(seen: Seen) -> Columns:
@@ -505,6 +521,7 @@ LOG_GAIN = _number("log_gain", "size of the logged torque")
 OFFSET = Fault("offset", "constant force that is not declared", _push, measure="torque")
 LIMIT = Fault("limit", "undeclared limit of the controller's output", _limit, one_sided=True, measure="level")
 _position = partial(Fault, mechanical=True, reason=Reason.FORCE_FOLLOWS_POSITION)
+_turns = partial(Fault, tried=1, kin="gravity")
 _low_speed = partial(Fault, one_sided=True, kin="low-speed friction", measure="torque")
 _friction = partial(Fault, mechanical=True, reason=Reason.FRICTION_NOT_AS_MODELLED)
 _spring = partial(Fault, mechanical=True, reason=Reason.SPRING_NOT_LINEAR, kin="spring law")
@@ -513,7 +530,9 @@ _load = partial(Fault, mechanical=True, reason=Reason.LOAD_NOT_RIGID)
 _ROWS = (
     DELAY, REFERENCE_DELAY, LOG_GAIN, LOG_DELAY, _number("gain", "gain of the controller's output"),
     Fault("injected_gain", "size of the injected signal", _scale_injected, declared=1.0), OFFSET,
-    Fault("eccentric_encoder", "encoder off its centre", _misread, "centre it", 1, kin="gravity", measure="position"),
+    _turns("eccentric_encoder", "encoder off its centre", partial(_in_turns, "motor"), "centre it", measure="position"),
+    _turns("unlogged_gravity", "torque log without the load's weight", partial(_in_turns, "load"), measure="torque"),
+    Fault("load_encoder", "position loop closed on the load", _follow_load, one_sided=True, least=_LEAST_SHARE),
     Fault(
         "torque_saturation", "torque constant that falls with the current", _saturate,
         "the joint file has one torque constant: record with half of that torque",
