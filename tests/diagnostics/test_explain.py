@@ -94,9 +94,9 @@ def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
     """It is about what the right loop leaves, whatever loop is declared, and all of it for another motion."""
     record, loop = without_mistake(axis("direct"))
     right = identify(record, loop)
-    for gain in (0.1, 1.0):
+    for gain, out in ((0.1, ()), (1.0, ()), (1.0, ((2.0, 2.5), (4.0, 4.2)))):
         other = replace(loop, controller=with_numbers(loop.controller, {"gain": gain}))
-        problem = torque_problem(record, other, right.settings.filtering, loop.joint.parameters)
+        problem = torque_problem(replace(record, left_out=out), other, right.settings.filtering, loop.joint.parameters)
         share = find_unexplained_share(problem, record.reference.values)
         assert share == pytest.approx(right.fit.filtered_error, rel=0.15)
         assert find_unexplained_share(problem, record.reference.values[::-1].copy()) > 0.5

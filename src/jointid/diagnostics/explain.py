@@ -309,10 +309,7 @@ def list_cases(declared: Case) -> list[Case]:
 
 
 def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:
-    """Causes with the smallest residuals; none if they explain too little.
-
-    Small changes of a number are attributed to an unmodelled friction or to noise.
-    """
+    """Causes with the smallest residuals; none if they explain too little, or a number changes as by friction."""
     if not candidates or is_small(best := candidates[0], declared):
         return ()
     most = (_LEAVES_BY_TIME if best.name == "sample_time" else _LEAVES) * left

@@ -147,10 +147,7 @@ def find_steps(record: Record) -> Message | None:
 
 
 def find_lost_samples(record: Record) -> Message | None:
-    """Message on samples that are missing without time stamps; None without any.
-
-    At missing samples a smooth motion advances by a whole number of its steps.
-    """
+    """Message on samples missing without time stamps, where a smooth motion makes several steps at once, or None."""
     channel = record.reference or record.motor_position
     if channel is None or channel.values.size < 2 * _FEWEST_STEPS:
         return None
@@ -264,10 +261,7 @@ def find_profiled_steps(record: Record) -> Message | None:
 
 
 def find_standstill(record: Record) -> Message | None:
-    """Message on a motor that hardly moves; None if it moves.
-
-    The travel is not compared with the reference, which may have other units or be another channel.
-    """
+    """Message on a motor that hardly moves, whatever its reference, which may be another channel; None if it moves."""
     motor, reference = record.motor_position, record.reference
     if record.injected is not None or motor is None or reference is None:  # a signal moves the joint, too
         return None
@@ -464,28 +458,46 @@ _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered 
 
 
 def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray) -> float:
-    """Share of the torque without linear response to reference or injected signal."""
-    from scipy.linalg import toeplitz
+    """Share of the torque without linear response to reference or injected signal.
+
+    Products of lagged signals follow from those of one lag less: only the ends of the runs of rows differ.
+    """
+    from scipy.signal import fftconvolve
 
     filtering, T = problem.filtering, problem.sample_time
     torque, at = filtering.decimate(problem.measured, T), problem.log.kept // (filtering.decimation or 1)
     if reference.size != problem.measured.size:  # logged at a rate of its own
-        at = np.arange(problem.measured.size) * (reference.size / problem.measured.size)
-        reference = np.interp(at, np.arange(reference.size), reference)
+        time = np.arange(problem.measured.size) * (reference.size / problem.measured.size)
+        reference = np.interp(time, np.arange(reference.size), reference)
     velocity = np.gradient(reference)
     moving = np.abs(velocity) > _STANDS * np.max(np.abs(velocity))
     inputs = [np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))]
     added = problem.axis.inputs[:, INJECTED] + problem.axis.after_limit
     if np.any(added):
         inputs.append(to_log(problem.axis, added))
-    count, seen = len(inputs), filtering.decimate(np.column_stack(inputs), T)
-    lags = min(math.ceil(_MEMORY / (T * reference.size / torque.size)), torque.size)
+    seen = filtering.decimate(np.column_stack(inputs), T)
+    seen /= column_norms(seen)
+    (size, count), lags = seen.shape, min(math.ceil(_MEMORY / (T * reference.size / torque.size)), torque.size)
     rows, width = at.size, count * lags + 1
     if rows < 2 * width:
         return 0.0
-    columns = np.column_stack([*(toeplitz(one, np.zeros(lags)) for one in seen.T), np.ones(torque.size)])[at]
-    torque = torque[at]
-    columns /= column_norms(columns)
-    weights = np.linalg.solve(columns.T @ columns + _RIDGE * np.eye(width), columns.T @ torque)
-    left = float(np.linalg.norm(torque - columns @ weights) / np.linalg.norm(torque))
+    counts = np.zeros((size, 1))
+    counts[at] = 1.0
+    targets = counts * np.column_stack([seen, np.ones(size), torque])
+    first = fftconvolve(targets[:, np.newaxis], seen[::-1, :, np.newaxis], axes=0)[size - 1 : size - 1 + lags]
+    late, ends = np.concatenate([np.zeros((lags, count)), seen]), np.flatnonzero(np.diff(counts[:, 0], 1, -1, 0.0, 0.0))
+    edges = [((-1.0) ** k, late[end : lags + end][::-1]) for k, end in enumerate(ends)]
+    products = np.empty((lags, count, lags, count))
+    products[0] = first[:, :, :count].transpose(2, 0, 1)
+    for lag in range(lags - 1):
+        products[lag + 1, :, 0] = first[lag + 1, :, :count]
+        change = sum(sign * edge[lag, :, np.newaxis, np.newaxis] * edge[:-1] for sign, edge in edges)
+        products[lag + 1, :, 1:] = products[lag, :, :-1] + change
+    normal = np.pad(products.reshape(width - 1, width - 1), (0, 1), constant_values=rows)
+    normal[-1, :-1] = normal[:-1, -1] = first[:, :, count].ravel()
+    sizes = np.sqrt(np.diag(normal))
+    normal = normal / np.outer(sizes, sizes) + _RIDGE * np.eye(width)
+    weights = np.linalg.solve(normal, np.append(first[:, :, -1], targets[:, -1].sum()) / sizes) / sizes
+    response = np.sum(fftconvolve(seen, weights[:-1].reshape(lags, count), axes=0)[:size], axis=1) + weights[-1]
+    left = float(np.linalg.norm((torque - response)[at]) / np.linalg.norm(torque[at]))
     return left * math.sqrt(rows / (rows - width))

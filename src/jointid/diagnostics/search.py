@@ -196,11 +196,7 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
 
 
 def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
-    """Torque change, (samples,), and parameters of another joint law, or None.
-
-    A short search is needed, as other parameters absorb a part of a large effect. None without such a law, or if the
-    residual is not smaller.
-    """
+    """Torque change, (samples,), and parameters of another joint law by a short search; None if it leaves no less."""
     if signature.trial is None:
         return None
     other, start = signature.trial
