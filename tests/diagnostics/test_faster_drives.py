@@ -127,6 +127,7 @@ def _late(coarse: int = 1, behind: int = 0, **late: Any) -> tuple[Record, Closed
 @pytest.mark.parametrize(("late", "time"), [
     ({"reference_average": 8e-3}, "8.00 ms"), ({"torque_filters": (FirstOrder(2e-3),)}, "2.01 ms"),
     ({"torque_filters": (FirstOrder(2e-3),), "behind": 1}, "2.01 ms, and its log is 1.00 ms late"),
+    ({"torque_filters": (FirstOrder(8e-4),), "behind": -1}, "0.814 ms, and its log is 1.0 ms early"),
     ({"delay": 3e-3}, "3.00 ms"), ({"reference_delay": 2e-3}, "2.00 ms late"),
 ])  # fmt: skip
 def test_a_mean_a_lag_and_a_dead_time_are_named_with_their_time(late: dict[str, Any], time: str) -> None:

@@ -44,7 +44,7 @@ _UNITS = {"in degrees, not rad": _DEGREES, "in mm, not m": 1e3}  # of a referenc
 _NEAR = 0.08  # logarithm: a factor is taken for another one that is so near
 _ROUGHLY = 0.3  # logarithm: unmodelled dynamics move a factor by so much; 75 is then 57.3, of an angle in degrees
 _SMALL = math.log(1.5)  # a factor that is nearer to 1 is left to its test, which gives an interval
-_HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
+HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
 _NO_TIME = 1e-6  # s: no drive keeps so short a time
 _TIME = "velocity_filter.time_constant"
 NOTCH_DEPTH = "torque_filters.0.depth"
@@ -166,7 +166,7 @@ def is_small(cause: Cause, declared: Case) -> bool:
     name = _TIME if cause.name == "velocity_filter" else cause.name
     unlike = name == _TIME and name not in numbers and declared.controller.velocity_filter != (1.0,)  # of another kind
     timed = value is not None and not unlike and cause.name.endswith(("delay", "filter"))
-    return timed and abs((value or 0.0) - numbers.get(name, 0.0)) < _HARDLY * declared.period
+    return timed and abs((value or 0.0) - numbers.get(name, 0.0)) < HARDLY * declared.period
 
 
 # What corrects them
@@ -313,7 +313,7 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iter
 
     declared = case.numbers.get(name, 0.0)
     if name == "position_gain" and value and declared / value > 1.0 and _is(declared / value, _MINUTE):
-        clause += ": it is given in 1/min, as its values tell"
+        clause += ": it is given in 1/min, as its value shows"
     words = {"name": f"the {name_number(name)}", "or_log": ", or the log," if case.record.injected is None else ""}
     numbers = {"shown": show(value or 0.0), "declared": show(declared)} if "{" in clause else {}
     yield Cause(name, clause.format(**words, **numbers), value)
@@ -416,7 +416,8 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
         said, filled = f"the reference is {_DONE[way]} between its samples", replace(law, interpolation=way)
         yield (OtherLaw(INTERPOLATIONS[way], said, f'interpolation = "{way}"', filled),)
     if getattr(law, "reference_average", None) == 0.0:
-        yield (change_time(law, AVERAGED, SCREENED * log),)
+        lags = () if getattr(law, "torque_filters", True) else (change_time(law, TORQUE_FILTER, log / SCREENED),)
+        yield (change_time(law, AVERAGED, SCREENED * log), *lags)
     yield from ((one,) for one in list_feedback_laws(law, period))
     if getattr(law, "period", period) is not None:
         return
@@ -458,8 +459,7 @@ def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:
     if getattr(controller, "velocity_filter", None) == (1.0,):
         words = "the velocity is measured or observed, half a period earlier than a difference of positions"
         earlier = replace(controller, velocity_filter=_HALF_A_PERIOD_EARLIER)
-        remedy = f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}"
-        yield OtherLaw(MEASURED_VELOCITY, words, remedy, earlier)
+        yield OtherLaw(MEASURED_VELOCITY, words, f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}", earlier)
 
 
 def _list_other_ways(controller: Any, record: Record, period: float) -> tuple[Interpolation, ...]:

@@ -96,8 +96,7 @@ class EstimateComparison(Documented):
             rows.append((in_words(row.name), *values, row.unit, number(row.p_value, 2), mark, row.symbol))
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "", "symbol")
         table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7, 8))
-        facts = Facts(tuple(zip("AB", self.records, strict=True)))
-        return Document(self.sentence, (facts, table))
+        return Document(self.sentence, (Facts(tuple(zip("AB", self.records, strict=True))), table))
 
 
 def compare(before: Mapping[str, Any], after: Mapping[str, Any]) -> EstimateComparison:

@@ -138,8 +138,7 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
     if still := [*still_faults(record)]:
         yield from (Symptom(_POOR_MOTION, one) for one in still)
         return
-    coarse = find_record_warnings(replace(record, remarks=()), ("torque",))
-    yield from (Symptom("torque_coarse", one) for one in coarse)
+    yield from (Symptom("torque_coarse", one) for one in find_record_warnings(replace(record, remarks=()), ("torque",)))
     limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
     if math.isfinite(limit):
         yield from (Symptom("at_limit", one) for one in limit_faults(record, limit))

@@ -451,5 +451,4 @@ def _pose(case: Case, loop: ClosedLoop, *, low: bool = False) -> ClosedLoopProbl
     except JointidError:
         return None
     own = ((p, p.start or 0.0) for p in problem.parameters if p.name == case.free and p.symbol != "frequency")
-    wide = {p.name: replace(p, lower=1e-4 * start, upper=1e4 * start) for p, start in own}
-    return problem.replace_parameters(wide)
+    return problem.replace_parameters({p.name: replace(p, lower=1e-4 * start, upper=1e4 * start) for p, start in own})

@@ -68,7 +68,7 @@ def find_plain_cause(record: Record) -> Message | None:
     """Cause visible in the samples of torque and reference; None without one."""
     if record.injected is not None:  # that moves the joint, too
         return None
-    short = find_too_short(record, _SHORTEST, "to tell what is wrong")
+    short = find_too_short(record, _SHORTEST, "to find what is wrong")
     return short or find_broken_part(record) or find_profiled_steps(record) or find_steps(record)
 
 
@@ -120,8 +120,7 @@ def find_steps(record: Record) -> Message | None:
     or of a stepped reference, correlate with the reference, and stop while it rests.
     """
     torque, reference = record.torque, record.reference
-    assert torque is not None
-    assert reference is not None
+    assert torque is not None and reference is not None
     signed = np.diff(torque.values)
     change = np.abs(signed)
     if record.injected is not None or change.size < 2 * _FEWEST_JUMPS or not np.any(change):

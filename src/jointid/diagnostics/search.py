@@ -176,8 +176,7 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
     wider = problem.freeing(test.name)
     start = max(start, next(p.lower for p in wider.free if p.name == test.name))
     try:
-        begin = wider.vector(problem.values(found.x) | {test.name: start})
-        x = solve(wider, least_squares(_TOLERANCE, _FEW), begin).x
+        x = solve(wider, least_squares(_TOLERANCE, _FEW), wider.vector(problem.values(found.x) | {test.name: start})).x
         wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held, problem.values(found.x)
@@ -214,6 +213,7 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 _BETWEEN = 0.2  # of what a law changes: so much less is still a rate, or a delay, next to the one that is tried
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
 _LONGEST_LAG = 4e-3  # s: of a current loop or a setpoint filter; a longer one is another mistake
+_CURRENT_LOOP = 1e-3  # s: the same, if the reference is not late as well; a longer one may be a notch
 _LAG, _LESS = "torque_filters.0.time_constant", 0.95  # of the squares that a late log alone leaves
 _SHARES_OF_LAG = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2)  # the delays that are tried
 
@@ -280,8 +280,7 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
 
 def test_laws(found: SolvedLoop) -> list[LawTest]:
     """Test alternative laws that are neither named yet nor excluded."""
-    tests: list[LawTest] = []
-    problem, x, record = found.problem, found.x, found.record
+    tests, problem, x, record = list[LawTest](), found.problem, found.x, found.record
     if record is None:
         return tests
     law = problem.loop.controller
@@ -291,13 +290,15 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
         if {one.name for one in kin} & {*found.named} or not (fixed or first.fault.name in changes.WHOLE):
             continue
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
-            moved = found.residual - problem.under(first.controller, record).residual(x)
-            step, start = found.test_law(first.fault, moved), x
+            late, start = first.fault is changes.AVERAGED, x
+            screens = (problem.under(one.controller, record) for one in (first, *(others if late else ())))
+            steps = [found.test_law(first.fault, found.residual - one.residual(x)) for one in screens]
+            step = min(steps, key=lambda one: one.p_value)
+            longest = _LONGEST_LAG if steps[0].p_value <= LEVEL else _CURRENT_LOOP
             possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST
-            late = first.fault is changes.AVERAGED
             if not (step.p_value <= LEVEL if late or first.fault is changes.MEASURED_VELOCITY else possible):
                 continue
-            for other, near in _list_late(problem, x) if late else ((one, None) for one in (first, *others)):
+            for other, near in _list_late(problem, x, longest) if late else ((one, None) for one in (first, *others)):
                 one = _test_law(found, other, record, start if near is None else near)
                 if one is None or (other.fault is changes.PERIOD and not one.possible):
                     break
@@ -307,7 +308,9 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
     return tests
 
 
-def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[OtherLaw, FloatArray]]:
+def _list_late(
+    problem: ClosedLoopProblem, x: FloatArray, longest: float = _LONGEST_LAG
+) -> Sequence[tuple[OtherLaw, FloatArray]]:
     """Averaged and delayed reference, by its delay, and a torque that lags or is late; each with first parameters."""
     law: Any = problem.loop.controller
     period, measured = float(problem.axis.law.period), problem.axis.tap is Tap.MEASURED
@@ -321,12 +324,13 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
     (late,), near, _ = find(law, x, reference_delay=law.reference_delay)
     more = late - law.reference_delay
     times = {changes.AVERAGED: period * max(round(2.0 * more / period + 1.0), 2), suspects.REFERENCE_DELAY: late}
-    laws = [(changes.change_time(law, *one), near) for one in times.items()]
-    if more > 0.0 and not getattr(law, "torque_filters", True):
+    laws = [(changes.change_time(law, *one), near) for one in times.items() if more > 0.0]
+    if not getattr(law, "torque_filters", True):
         with contextlib.suppress(JointidError):  # the lag vanishes
-            lagging = changes.change_time(law, suspects.TORQUE_FILTER, more).controller
-            (lag,), near, _ = find(lagging, near, **{_LAG: more})
-            lags = [changes.change_time(law, suspects.TORQUE_FILTER, lag)] if lag < _LONGEST_LAG else []
+            lagging = changes.change_time(law, suspects.TORQUE_FILTER, max(more, period)).controller
+            (lag,), near, _ = find(lagging, near, **{_LAG: max(more, period)})
+            least = changes.HARDLY * period
+            lags = [changes.change_time(law, suspects.TORQUE_FILTER, lag)] * (least < lag < longest)
             if lags and measured:  # in its log a late torque steps: no derivative shows its delay
                 each = sorted({law.delay + period * max(round(share * lag / period), 1) for share in _SHARES_OF_LAG})
                 delays = [changes.change_time(law, changes.DEAD_TIME, one) for one in each]
@@ -335,13 +339,13 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray) -> Sequence[tuple[Othe
                 lags.append(delays[int(np.argmin([one @ one - np.sum((basis.T @ one) ** 2) for one in left]))])
             place = 0 if measured else len(laws)  # which lags behind its setpoint
             laws[place:place], place = [(one, near) for one in lags], place + len(lags)
-            if lags and not (any(problem.log.seen) or suspects.LOG_DELAY.name in problem.units):  # at another instant
+            if lag < longest and not (any(problem.log.seen) or suspects.LOG_DELAY.name in problem.units):
                 *_, alone = find(law, near, log_delay=0.0)
-                (lag, late), near, rest = find(lagging, near, **{_LAG: lag, "log_delay": 0.0})
+                (lag, late), near, rest = find(lagging, near, **{_LAG: max(lag, least), "log_delay": 0.0})
                 one = changes.change_time(law, suspects.TORQUE_FILTER, lag)
-                words = f"{one.words}, and its log is {number(1e3 * late, 2)} ms late"
+                words = f"{one.words}, and its log is {number(1e3 * abs(late), 2)} ms {'late' if late > 0 else 'early'}"
                 one = replace(one, words=words, remedy=f'{one.remedy}, and method.free = ["log_delay"]', late=late)
-                laws[place:place] = [(one, near)] * (late > 0.0 and lag < _LONGEST_LAG and rest < _LESS * alone)
+                laws[place:place] = [(one, near)] * (abs(late) > least and lag < longest and rest < _LESS * alone)
     return laws
 
 

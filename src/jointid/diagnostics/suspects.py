@@ -545,11 +545,11 @@ _ROWS = (
     ),
     _low_speed(
         "stribeck", "friction that rises towards standstill", partial(_at_low_speed, 1.0),
-        'declare friction = "stribeck", or "asymmetric-stribeck", and stribeck_speed near {shape}',
+        'declare friction = "stribeck", or "asymmetric-stribeck" (without "presliding"), stribeck_speed near {shape}',
     ),
     _low_speed(
         "presliding", "friction that falls towards standstill", partial(_at_low_speed, -1.0),
-        'declare friction = "stribeck" if it is smooth at rest (tanh), "presliding" if it winds up',
+        'declare friction = "stribeck" of a speed near {shape} if smooth at rest (tanh), "presliding" if it winds up',
     ),
     _position("uneven_friction", "friction that differs along the travel", _along_travel, measure="torque"),
     _friction(
@@ -574,7 +574,7 @@ _ROWS = (
     ),
     _spring(
         "cubic_spring", "spring that is not linear, stiffer at the largest torque than near none",
-        partial(_other_spring, ("three-piece", "cubic")), "jointid diagnose --laws tells its law", measure="%",
+        partial(_other_spring, ("three-piece", "cubic")), "jointid diagnose --laws names its law", measure="%",
     ),
     _spring(
         "backlash", "backlash of the transmission", partial(_other_spring, ("backlash",)),

@@ -132,7 +132,7 @@ def free_more(solved: Solved, names: tuple[str, ...], history: History) -> Solve
     """
     if "drive_gain" in names:
         raise MethodError(
-            "One record cannot tell the drive_gain from the scale of the joint; free log_gain or a gain of the law, or "
+            "One record does not separate drive_gain from the joint's scale; free log_gain or a gain of the law, or "
             "identify from two records with a known mass between them."
         )
     wider = solved.problem.freeing(*names)

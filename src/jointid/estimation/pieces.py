@@ -138,7 +138,7 @@ def lay_out(
     if joint.torque_unit and any(found.added) and not found.scales:
         raise MethodError(
             f"An added inertia is in SI units, but the joint's are per {joint.torque_unit}; free drive_gain, which "
-            "the added inertia tells, or give the torque in SI units."
+            "the added inertia shows, or give the torque in SI units."
         )
     known = {p.name for p in joint.parameters} | {*found.free} - {GAIN}
     pairs = [(known - {_inertia(joint).name} if more else known, mine) for more, mine in zip(*found[1:3], strict=True)]
@@ -344,7 +344,7 @@ def fill_starts(each: Sequence[Mapping[str, float]], names: Sequence[str]) -> li
     anywhere = {name: value for values in reversed(each) for name, value in values.items()}
     if lost := [name for name in names if name not in anywhere]:
         raise MethodError(
-            f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "
+            f"No record by itself shows {', '.join(lost)}, so nothing is known to start from; "
             "identify the joint as rigid, or record a motion that shows it."
         )
     return [{**anywhere, **values} for values in each]
@@ -742,6 +742,6 @@ def _start(
         if not (lost := [row.name for row in found.rows if row.of_joint and row.value is None]):
             return found
         refusal = MethodError(
-            f"A window does not tell {', '.join(lost)}; give a longer window, or identify the joint as rigid."
+            f"A window does not show {', '.join(lost)}; give a longer window, or identify the joint as rigid."
         )
     raise refusal

@@ -190,7 +190,7 @@ def command_of(problem: ClosedLoopProblem) -> FloatArray:
     parted = (averaged or measured) and clock.skips > 1
     if clock.shows > 1 or parted or (averaged and measured and not whole):
         raise MethodError(
-            "The controller can be turned round only when the log shows the output of its periods, each once at most."
+            "The controller can be inverted only if the log shows the output of its periods, each once at most."
         )
     # A measured torque shows an output when it acts, an averaged one when its period is over.
     late = int(averaged) + (int(clock.lags[0, 0]) if measured else 0)

@@ -457,7 +457,7 @@ class SplitRobot:
         if not np.min(np.linalg.eigvalsh(masses)) > 0.0:
             raise MethodError(
                 "The robot of rigid joints that the search of springs begins with has a mass matrix that is not "
-                "positive in a pose of the record, so the record hardly tells the masses; move all joints faster, and "
+                "positive in a pose of the record, so the record hardly shows the masses; move all joints faster, and "
                 "differently from each other, or longer."
             )
         about = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)

@@ -309,7 +309,7 @@ def profiles_figure(estimate: Estimate, found: Profiles) -> Figure:
     """Draw the profiles, each beside the interval of the table."""
     shown = [one for one in found if one.points.size > 2]
     if not shown:
-        raise RecordError("No quantity has a profile; name others, or identify from a motion that tells these.")
+        raise RecordError("No quantity has a profile; name others, or identify from a motion that shows these.")
     figure, drawn = panels([210] * len(shown), 3)
     for axes, one in zip(drawn, shown, strict=True):
         risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)

@@ -28,7 +28,7 @@ from jointid.records.signals.filtering import Filtering
 
 _FEWEST = 200  # samples of a test
 _DURATION, _SAMPLE_TIME = 10.0, 1e-3  # s, of a robot's test where nothing states them
-_DOUBTFUL = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
+_DOUBTFUL = "at some joints of the interval it cannot be simulated, or shows nothing of a parameter"
 
 One = TypeVar("One")
 

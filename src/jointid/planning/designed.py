@@ -159,7 +159,7 @@ class Design(Documented):
         if gain is None:
             return stated
         if not math.isfinite(gain):
-            return f"{stated}; the present one does not tell all"
+            return f"{stated}; the present one does not show all"
         width = f"{number(100 * math.exp(gain), 3)} % of the width of the present one"
         return f"{stated}, and brings intervals on the geometric mean to {width}"
 

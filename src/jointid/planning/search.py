@@ -187,7 +187,7 @@ def search(
         clock: source of time, s.
     """
     ends, rng = clock() + seconds, np.random.default_rng(seed)
-    reach = pace(progress, "looking for the test that tells most", 100.0, "%")
+    reach = pace(progress, "looking for the most informative test", 100.0, "%")
     best: Tried | None = None
     last = 0
     for count, tried in enumerate(_try_all(asked, rng), start=1):

@@ -81,7 +81,7 @@ def _rate_faults(record: Record) -> Iterator[str]:
     judged = record.torque or record.motor_position
     if judged is not None and (period := judged.sample_time) > _SLOWEST_SAMPLE:
         yield (
-            f"The record has a sample every {period:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it tells nothing "
+            f"The record has a sample every {period:.3g} s (at most {_SLOWEST_SAMPLE:g} s expected): it shows nothing "
             "of a joint's dynamics; log faster, or check the unit of the time column."
         )
 

@@ -79,7 +79,7 @@ class Whiteness:
 
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
-        verdict = "is white as far as this record tells" if self.white else "is not white"
+        verdict = "is white as far as this record shows" if self.white else "is not white"
         how = f"Q = {self.statistic:.1f} of {self.lags} lags, p = {self.p_value:.2g}"
         return f"within the pass band the residual {verdict} ({how})"
 

@@ -61,8 +61,7 @@ def test_a_size_that_nobody_announced_is_stopped_at_the_bound(client: TestClient
             yield b"1,2\n" * 250
 
     answer = client.post("/record", content=body(), headers={"content-type": "multipart/form-data; boundary=x"})
-    assert answer.status_code == 422
-    assert "larger than 1.91 MB" in answer.text
+    assert answer.status_code == 422 and "larger than 1.91 MB" in answer.text
     assert not asker.kept
 
 
@@ -92,7 +91,8 @@ def test_units_are_asked_where_nothing_says_them(asker: Asker) -> None:
     rows = "\n".join(f"{0.001 * i},{i % 7},{i * i}" for i in range(50))
     asker.send("a.csv", f"t,force,way [mm]\n{rows}\n".encode())
     columns = {"record.channels.torque.column": "force", "record.channels.reference.column": "way [mm]"}
-    page = asker.post("/draft/channels", {"joint.kind": "prismatic", **columns})[1]
+    page = asker.post("/draft/channels", {"joint.kind": "prismatic", "transmission.ratio": "7,0", **columns})[1]
+    assert "2401 of the load, or 2401 of the motor, which are 343 of the load" in page  # the side is asked for
     assert re.findall(r'<select id="record-channels-(torque|reference)-unit"[^>]* required>', page) == ["torque"]
 
 

@@ -43,14 +43,14 @@ def preview() -> None:
     for k, channel in enumerate(found.channels[:_DRAWN]):
         (draft.path / f"_plot-{k}.svg").write_bytes(svg(draw_column(channel.values), "column"))
     listed = [
-        {"name": channel.name, "samples": channel.rows, "plot": f"{k}.svg" if k < _DRAWN else ""}
-        for k, channel in enumerate(found.channels[:_LISTED])
+        {"name": one.name, "samples": one.rows, "plot": f"{k}.svg" * (k < _DRAWN), "span": f"{np.ptp(one.values):.4g}"}
+        for k, one in enumerate(found.channels[:_LISTED])
     ]
-    names = [channel.name for channel in found.channels]
     channels = {one: {"column": column} for one, column in propose_columns(found).items() if column}
     clock = {channel.time: {"time": channel.time} for channel in found.channels if channel.time}
     tables: dict[str, Any] = {"record": {"channels": channels} | (clock.popitem()[1] if len(clock) == 1 else {})}
-    said: dict[str, Any] = {"columns": listed, "names": names, "count": len(names), "tables": tables, "sentence": ""}
+    names = [channel.name for channel in found.channels]
+    said: dict[str, Any] = {"columns": listed, "names": names, "tables": tables, "sentence": ""}
     if found.recognised is not None:
         place = found.recognised.axes[0].place if len(found.recognised.axes) > 1 else {}
         drive = {"profile": found.recognised.profile.name} | {key: place[key] for key in place if key != "index"}

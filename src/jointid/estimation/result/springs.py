@@ -186,7 +186,7 @@ def _doubts(
     idle = {p.name for p, column in zip(problem.free, J.T, strict=True) if not column.any()}
     for side in ("motor", "load"):
         if f"{side}_inertia" in idle:
-            yield f"with the joint that was found the {side} never moves, so that no torque tells its inertia"
+            yield f"with the joint that was found the {side} never moves, so that no torque shows its inertia"
     left, without = squares
     if known.repeatable.significant and without - left < known.repeatable.share * left:
         yield "the spring explains less of what remains than repeats with the motion and no noise explains"

@@ -338,7 +338,7 @@ def payload_difference(empty: Estimate, loaded: Estimate) -> Payload:
     if len(hidden):
         lost = [SYMBOLS[k] for k in np.flatnonzero(np.max(np.abs(hidden), axis=0) > 0.2)]
         raise MethodError(
-            f"This robot does not tell all of a payload: {join(lost)} act on no torque, or only together; expected "
+            f"This robot does not show all of a payload: {join(lost)} act on no torque, or only together; expected "
             "joints that turn and tilt the last link about several axes."
         )
     whiten = whitening(covariance_of(noise + more))

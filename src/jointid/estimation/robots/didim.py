@@ -147,7 +147,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
     together = [name for name, separable in zip(names, find_separable(J), strict=True) if not separable]
     if any(name.endswith("friction_per_torque") for name in together):
         raise MethodError(
-            f"The records do not tell {join(together)} apart: where the torque never brakes, a share of it scales them "
+            f"The records do not show {join(together)} apart: where the torque never brakes, a share of it scales them "
             "all. Identify records with other known loads in one fit, or brake harder."
         )
     problem = problem.reweight(error, x.size)
@@ -158,7 +158,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
     known = zip(names, covariance.std, strict=True)
     if untold := [n for n, s in known if n.endswith(f".{DELAY}") and not INTERVAL * s < DELAYS[-1]]:
         raise MethodError(
-            f"The records do not tell {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
+            f"The records do not show {join(untold)}: two standard deviations are more than {1e3 * DELAYS[-1]:g} ms. "
             "Move faster, record longer, or state the delay in [controller] and do not free it."
         )
     springs = _judge_springs(problem, x, covariance.std, most)

@@ -54,7 +54,7 @@ def joint_file(
             known, stated = replace(known, free=values == "start", start=value), True
         if stated:
             lines.append(f"{declared.name} = {_toml(parameter_table(known, declared))}")
-    lost = [f"what the record does not tell: {', '.join(refused)}"] if refused else []
+    lost = [f"what the record does not show: {', '.join(refused)}"] if refused else []
     lost += outside
     written = "\n".join(["[parameters]", *(f"# {line}" for line in alone.remarks(lost)), *lines, ""])
     before = file.path.parent

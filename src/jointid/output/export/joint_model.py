@@ -191,7 +191,7 @@ class JointModel:
         found = {p.name: p.value for p in self.parameters if p.value is not None}
         if refused := [p.name for p in self.parameters if p.value is None]:
             raise MethodError(
-                f"The record does not tell {', '.join(refused)}, and no other program can simulate without; identify "
+                f"The record does not show {', '.join(refused)}, and no other program can simulate without; identify "
                 "the joint as rigid, or export a joint file, which omits it."
             )
         return found
@@ -214,7 +214,7 @@ class JointModel:
         if wrong := [f"{key} is {v:g}" for key, v in checked.items() if v < 0 or (v == 0 and key.endswith("inertia"))]:
             raise MethodError(
                 f"{text.join(wrong)}; expected a positive inertia, and no negative friction, stiffness or damping: "
-                "identify again, from a motion that tells more."
+                "identify again, from a motion that shows more."
             )
         return found
 
