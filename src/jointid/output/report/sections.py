@@ -117,7 +117,8 @@ def repetition(
     date = datetime.fromtimestamp(records[0].stat().st_mtime, UTC).date().isoformat()
     names = ", ".join(record.name for record in records)
     tables = apply_changes(tomllib.loads(text), changes)
-    drive = {key: value for key, value in tables.get("joint", {}).items() if key.startswith("torque_")}
+    constant = tables.get("joint", {}).get("torque_constant")
+    drive = {"torque_constant": f"{constant} (no record checks it; all values are as right as it)"} if constant else {}
     stated = {"Controller": tables.get("controller", {}), "Drive": tables.get("drive", {}) | drive}
     told = {name: _say(table)[1:-1] for name, table in stated.items() if table}
     return Repetition(__version__, names, date, known, joint.name, text, command, told)
@@ -289,8 +290,7 @@ def _channels_table(estimate: Estimate, given: Report) -> Table:
     """Table of the record's channels, and which were read."""
     rows = list[tuple[str, ...]]()
     for name, one in given.channels.items():
-        read = "read" if name in estimate.data.channels else "not read"
-        size = f"{one.sample_time:.6g}", str(len(one))
-        rows.append((name.replace("_", " "), read, one.source or "-", one.timing.value, one.unit, *size))
+        said = name.replace("_", " "), "read" if name in estimate.data.channels else "not read", one.source or "-"
+        rows.append((*said, one.timing.value, one.unit, f"{one.sample_time:.6g}", str(len(one))))
     header = ("channel", "in this answer", "source", "timing", "unit", "sample time [s]", "samples")
     return Table(header, tuple(rows), "The record's channels, in SI units", words=(0, 1, 2, 3, 4))
