@@ -262,8 +262,7 @@ def _follow_chords(
     root = root if bends[mode, 2] == 1.0 else np.inf  # what grows is bounded over one period alone
     while k < w.size:
         at = np.uint64(k)
-        raw = (w[at] + (c0 * z0 + c1 * z1)) + d * x[0]  # the position comes last, as it is known last
-        command = raw
+        raw = command = (w[at] + (c0 * z0 + c1 * z1)) + d * x[0]  # the position comes last, as it is known last
         next0 = (a00 * z0 + a01 * z1) + b0 * x[0]
         next1 = (a10 * z0 + a11 * z1) + b1 * x[0]
         if not abs(raw) <= limit:  # a branch: the limit stays out of the chain of operations from state to state
@@ -282,8 +281,7 @@ def _follow_chords(
         if states.shape[0] > 0:
             states[at, 0], states[at, 1], states[at, 2], states[at, 3] = x
         y = _move(m, mode, x, s)
-        root += abs(s - last)
-        last = s
+        root, last = root + abs(s - last), s
         if not _stays(mass, spring, bounds, bends, mode, m1, m2, x, y, s, root):
             break
         x = y
@@ -297,7 +295,7 @@ def _follow_chords(
 def ride(
     mass: FloatArray, spring: FloatArray, bounds: FloatArray, loop: SampledLoop, law: SmallLaw, small: bool,
     before: float, far: float, rates: FloatArray, moves: FloatArray, bends: FloatArray, mode: int, states: FloatArray,
-    kept: NDArray[np.int16], q: FloatArray, v: FloatArray, z: FloatArray, fresh: FloatArray, out: FloatArray,
+    kept: NDArray[np.int16], q: FloatArray, v: FloatArray, z: FloatArray, fresh: FloatArray,
     cut: FloatArray, u: FloatArray, excess: FloatArray, counts: IntArray, k: int, part: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Simulate on by maps while nothing happens; return the period, and its part, in which something may.
@@ -316,8 +314,7 @@ def ride(
             )  # fmt: skip
             counts[3] += clipped
         elif part == 0:
-            control_any(loop, 0, k, x[0], z, fresh, out, cut)
-            u[k] = out[output]
+            u[k] = control_any(loop, 0, k, x[0], z, fresh, cut)
             if excess.shape[0] > 0:
                 assign(excess[k], cut)
             counts[3] += 1 if cut[output] != 0.0 else 0

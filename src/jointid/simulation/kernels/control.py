@@ -33,26 +33,29 @@ def small_law(loop: SampledLoop, nz: int) -> SmallLaw:
 
 @inline_kernel
 def control_any(
-    loop: SampledLoop, joint: int, k: int, q: float, z: FloatArray, new: FloatArray, out: FloatArray, cut: FloatArray
-) -> None:  # fmt: skip
-    """Evaluate a joint's law: write what its elements put out and what limits and gates took; move its states.
+    loop: SampledLoop, joint: int, k: int, q: float, z: FloatArray, new: FloatArray, cut: FloatArray
+) -> float:
+    """Evaluate a joint's law: return what it puts out, write what limits and gates took, and move its states.
 
     At its limit an element puts out that limit to the last bit: the derivatives ask whether it is there.
     """
     phase, nz = k % loop.A.shape[1] if loop.A.shape[1] > 1 else 0, z.shape[1]  # a division takes as long as the rest
+    acts = 0.0
     for i in range(cut.size):
-        value = loop.w[joint, i, k] + loop.D[joint, phase, i] * q
+        value = loop.w[joint, i, k]
         for j in range(nz):
             value += loop.C[joint, phase, i, j] * z[joint, j]
         for j in range(i):
             value += loop.E[joint, phase, i, j] * cut[j]
-        out[i], cut[i] = value, 0.0
+        value += loop.D[joint, phase, i] * q  # the position comes last, as it is known last
+        out, cut[i] = value, 0.0
         if loop.gates[joint, i] >= 0:
             if value * cut[loop.gates[joint, i]] < 0.0:
-                out[i], cut[i] = 0.0, -value
+                out, cut[i] = 0.0, -value
         elif abs(value) > loop.limits[joint, i]:
-            out[i] = math.copysign(loop.limits[joint, i], value)
-            cut[i] = out[i] - value
+            out = math.copysign(loop.limits[joint, i], value)
+            cut[i] = out - value
+        acts = out if i == loop.output[joint] else acts
     for i in range(nz):
         value = loop.Bq[joint, phase, i] * q
         if loop.driven.shape[1] > 0:
@@ -64,6 +67,7 @@ def control_any(
         new[i] = value
     for i in range(nz):
         z[joint, i] = new[i]
+    return acts
 
 
 @inline_kernel

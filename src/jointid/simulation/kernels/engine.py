@@ -101,11 +101,12 @@ def accelerate(
         held[two] -= pull[s]
     for i in range(nd):
         mode = modes[i]
-        way = v[i] if mode == FREE else mode
-        back = 1 if way < 0.0 or (way == 0.0 and held[i] < 0.0) else 0
+        back = 1 if mode < 0.0 else 0  # known long before what pushes
+        if mode == FREE or mode == 0.0:
+            back = 1 if v[i] < 0.0 or (v[i] == 0.0 and held[i] < 0.0) else 0
         carried = pull[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
         grip[i], drag = laws.friction(mass, i, back, carried, time)
-        held[i] -= drag * v[i] + grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode)
+        held[i] -= grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode) + drag * v[i]
         a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
     positive = tree is None or invert(M, modes, inverse)
     for i in range(bias.size):
@@ -345,7 +346,7 @@ def run(
     guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
     M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
     link_room = np.zeros((links, ROOM))
-    fresh, out, cut = np.empty(z.shape[1]), np.zeros(elements), np.zeros(elements)
+    fresh, cut = np.empty(z.shape[1]), np.zeros(elements)
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
     for part in range(parts):
         period += lengths[part]
@@ -394,7 +395,7 @@ def run(
                 )
                 k, part = affine.ride(
                     mass, spring, bounds, loop, law, small, before[0], far[0], rates, moves, bends, mode, states,
-                    kept_modes, q, v, z, fresh, out, cut, command[0], excess[0], counts, k, part,
+                    kept_modes, q, v, z, fresh, cut, command[0], excess[0], counts, k, part,
                 )  # fmt: skip
                 if k == clock:
                     break
@@ -403,8 +404,7 @@ def run(
                 command[j, k] = command[j, k - 1]
             elif not straight:
                 own = k // every[j] if every[j] > 1 else k
-                control_any(loop, j, own, q[motors[j]], z, fresh, out, cut)
-                command[j, k] = out[outputs[j]]
+                command[j, k] = control_any(loop, j, own, q[motors[j]], z, fresh, cut)
                 if excess.shape[1] > 0:
                     assign(excess[j, own], cut)
                 limited = limited or cut[outputs[j]] != 0.0
@@ -454,7 +454,9 @@ def run(
                     )
                     if left == lengths[part] and kept_modes.size > 0:  # in which it begins to move
                         kept_modes[k * parts + part] = mode
-                h = left / max(math.ceil(steps_left * (1.0 - _ROOT)), 1.0)
+                h = left
+                if steps_left * (1.0 - _ROOT) > 1.0:  # a branch: nothing waits for the division
+                    h = left / math.ceil(steps_left * (1.0 - _ROOT))
                 known, dips, looks, tries = -1, False, True, 0
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
                 if settles:  # else they are as the step before has left them

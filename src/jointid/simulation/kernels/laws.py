@@ -16,27 +16,8 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, inline_kernel
 from jointid.models.friction import LAW, WINDS
-from jointid.simulation.kernels import (
-    COS,
-    COULOMB,
-    COULOMB_DRIFT,
-    CUBIC,
-    DAMPING,
-    HELD,
-    OFFSET,
-    PER_TORQUE,
-    RATE,
-    SIN,
-    SLIPS,
-    STIFFNESS,
-    VISCOUS,
-    VISCOUS_BACK,
-    VISCOUS_DRIFT,
-    WAVE,
-    WHERE,
-    WINDING,
-    IndexArray,
-)
+from jointid.simulation import kernels
+from jointid.simulation.kernels import IndexArray
 
 _WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 
@@ -45,7 +26,7 @@ _WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 def take_piece(springs: FloatArray, s: int, piece: int, spring: FloatArray) -> None:
     """Take the numbers of a spring in a piece of its deflection, negative of a negative one."""
     assign(spring[s], springs[s, abs(piece)])
-    spring[s, HELD] *= -1.0 if piece < 0 else 1.0
+    spring[s, kernels.HELD] *= -1.0 if piece < 0 else 1.0
 
 
 def _either(number: int, law: Any, other: Any) -> Any:
@@ -64,8 +45,13 @@ def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) ->
     rate, by_state = wind_up(numbers, i, way, v, w)
     grows, end = h * by_state, w + h * rate
     if rate * by_state != 0.0 and grows.real < 1.0:  # the exponential of a complex step is its tangent
-        more = math.expm1(grows.real)
-        end = w + (rate / by_state) * (more + (1.0 + more) * (grows - grows.real))
+        if abs(grows.real) < 0.5:  # the series of (exp(x) - 1) / x, within 3e-11
+            x, y = grows, grows * grows
+            higher = (1 / 120 + x / 720) + y * ((1 / 5040 + x / 40320) + y * (1 / 362880 + x / 3628800))
+            end = w + h * rate * ((1.0 + x / 2) + y * ((1 / 6 + x / 24) + y * higher))
+        else:
+            more = math.expm1(grows.real)
+            end = w + (rate / by_state) * (more + (1.0 + more) * (grows - grows.real))
     then, bent = wind_up(numbers, i, way, v, end)
     return end + h * (then - rate - by_state * (end - w)) / (3.0 - 0.75 * grows) if bent != by_state else end
 
@@ -73,22 +59,31 @@ def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) ->
 @inline_kernel
 def spring_torque(spring: FloatArray, s: int, e: float, de: float, w: float) -> float:
     """Return the torque of a spring at a deflection, its rate, and what is wound up."""
-    line = (spring[s, STIFFNESS] + spring[s, CUBIC] * e * e) * e + spring[s, DAMPING] * de
-    return float(spring[s, HELD] + line + spring[s, SLIPS] * w)
+    held = (spring[s, kernels.STIFFNESS] + spring[s, kernels.CUBIC] * (e * e)) * e + (
+        spring[s, kernels.HELD] + spring[s, kernels.SLIPS] * w
+    )
+    return float(held + spring[s, kernels.DAMPING] * de)  # the rate comes last, as it is known last
 
 
 @inline_kernel
 def spring_partials(spring: FloatArray, s: int, e: float, de: float, w: float, k: FloatArray, row: int) -> float:
     """Write the partials of a spring's torque by its numbers into a row of `k`; return that by the deflection."""
-    k[row, STIFFNESS], k[row, DAMPING], k[row, CUBIC], k[row, SLIPS] = e, de, e * e * e, w
-    return float(spring[s, STIFFNESS] + 3.0 * spring[s, CUBIC] * e * e)
+    k[row, kernels.STIFFNESS], k[row, kernels.DAMPING], k[row, kernels.CUBIC], k[row, kernels.SLIPS] = (
+        e,
+        de,
+        e * e * e,
+        w,
+    )
+    return float(spring[s, kernels.STIFFNESS] + 3.0 * spring[s, kernels.CUBIC] * e * e)
 
 
 @inline_kernel
 def friction(mass: FloatArray, i: int, back: int, carried: float, time: float) -> tuple[float, float]:
     """Return the Coulomb force and the viscous coefficient of a mass that carries a torque; `back` is 1 backwards."""
-    grip = mass[i, COULOMB + back] + mass[i, COULOMB_DRIFT] * time + mass[i, PER_TORQUE] * abs(carried)
-    return grip, mass[i, VISCOUS + back] + mass[i, VISCOUS_DRIFT] * time
+    grip = mass[i, kernels.COULOMB + back] + mass[i, kernels.COULOMB_DRIFT] * time
+    if mass[i, kernels.PER_TORQUE] != 0.0:  # a branch: what is carried is known last
+        grip += mass[i, kernels.PER_TORQUE] * abs(carried)
+    return grip, mass[i, kernels.VISCOUS + back] + mass[i, kernels.VISCOUS_DRIFT] * time
 
 
 @inline_kernel
@@ -99,35 +94,37 @@ def friction_partials(
 
     The share of the Coulomb force that acts is 1 or -1, or what is wound up.
     """
-    k[row, OFFSET], k[row, VISCOUS + back], k[row, VISCOUS_DRIFT] = -1.0, -v, -v * time
-    k[row, COULOMB + back], k[row, COULOMB_DRIFT], k[row, PER_TORQUE] = -share, -share * time, -share * abs(carried)
-    return float(-share * mass[i, PER_TORQUE] * math.copysign(1.0, carried))
+    k[row, kernels.OFFSET], k[row, kernels.VISCOUS + back], k[row, kernels.VISCOUS_DRIFT] = -1.0, -v, -v * time
+    k[row, kernels.COULOMB + back], k[row, kernels.COULOMB_DRIFT] = -share, -share * time
+    k[row, kernels.PER_TORQUE] = -share * abs(carried)
+    return float(-share * mass[i, kernels.PER_TORQUE] * math.copysign(1.0, carried))
 
 
 @inline_kernel
 def turn_place(places: FloatArray, j: int, q: float, turned: FloatArray) -> None:
     """Write where a step begins, and there the wave of a force that follows a position and its slope per phase."""
-    cos, sin = math.cos(places[j, WAVE] * q), math.sin(places[j, WAVE] * q)
-    turned[j, 0], turned[j, 1] = q, places[j, COS] * cos + places[j, SIN] * sin
-    turned[j, 2] = places[j, SIN] * cos - places[j, COS] * sin
+    cos, sin = math.cos(places[j, kernels.WAVE] * q), math.sin(places[j, kernels.WAVE] * q)
+    turned[j, 0], turned[j, 1] = q, places[j, kernels.COS] * cos + places[j, kernels.SIN] * sin
+    turned[j, 2] = places[j, kernels.SIN] * cos - places[j, kernels.COS] * sin
 
 
 @inline_kernel
 def place_force(places: FloatArray, turned: FloatArray, j: int, q: float) -> float:
     """Return a force that follows a position, by series: a step turns by less than a radian."""
-    x = places[j, WAVE] * (q - turned[j, 0])
+    x = places[j, kernels.WAVE] * (q - turned[j, 0])
     square = x * x
     cos = 1.0 + square * (-1 / 2 + square * (1 / 24 + square * (-1 / 720 + square * (1 / 40320))))
     sin = x * (1.0 + square * (-1 / 6 + square * (1 / 120 + square * (-1 / 5040 + square * (1 / 362880)))))
-    return float(turned[j, 1] * cos + turned[j, 2] * sin + places[j, RATE] * q)
+    return float(turned[j, 1] * cos + turned[j, 2] * sin + places[j, kernels.RATE] * q)
 
 
 @inline_kernel
 def place_partials(places: FloatArray, j: int, q: float, k: FloatArray, row: int) -> float:
     """Write the partials of the opposite of such a force by its numbers into a row of `k`; return that by the place."""
-    cos, sin = math.cos(places[j, WAVE] * q), math.sin(places[j, WAVE] * q)
-    k[row, COS], k[row, SIN], k[row, RATE] = -cos, -sin, -q
-    return float(places[j, WAVE] * (places[j, COS] * sin - places[j, SIN] * cos) - places[j, RATE])
+    wave = places[j, kernels.WAVE]
+    cos, sin = math.cos(wave * q), math.sin(wave * q)
+    k[row, kernels.COS], k[row, kernels.SIN], k[row, kernels.RATE] = -cos, -sin, -q
+    return float(wave * (places[j, kernels.COS] * sin - places[j, kernels.SIN] * cos) - places[j, kernels.RATE])
 
 
 @inline_kernel
@@ -138,24 +135,24 @@ def fastest_rate(
     """Return a bound in 1/s on how fast the motion changes by itself, or what acts on it changes with it."""
     nd, square, rate = q.size, 0.0, 0.0
     for i in range(nd):
-        rate += max(abs(mass[i, VISCOUS]), abs(mass[i, VISCOUS_BACK])) * mobility[i]
+        rate += max(abs(mass[i, kernels.VISCOUS]), abs(mass[i, kernels.VISCOUS_BACK])) * mobility[i]
         tangent = abs(wind_up(mass, i, modes[i], modes[i], w[i])[0])
-        if tangent > _WINDS * mass[i, WINDING]:
+        if tangent > _WINDS * mass[i, kernels.WINDING]:
             square += grip[i] * tangent * mobility[i]
             rate += abs(wind_up(mass, i, modes[i], v[i], w[i])[1])
     for s in range(pairs.shape[0]):
         one, two = pairs[s, 0], pairs[s, 1]
         e, both = q[two] - q[one], mobility[one] + mobility[two]
-        stiffness = spring[s, STIFFNESS] + max(3.0 * spring[s, CUBIC] * e * e, 0.0)
+        stiffness = spring[s, kernels.STIFFNESS] + max(3.0 * spring[s, kernels.CUBIC] * e * e, 0.0)
         left = abs(modes[nd + s] - w[nd + s])
-        if spring[s, WINDING] > 0.0 and left > _WINDS:
-            stiffness += spring[s, SLIPS] * spring[s, WINDING] * left
-            rate += abs(v[two] - v[one]) * spring[s, WINDING]
+        if spring[s, kernels.WINDING] > 0.0 and left > _WINDS:
+            stiffness += spring[s, kernels.SLIPS] * spring[s, kernels.WINDING] * left
+            rate += abs(v[two] - v[one]) * spring[s, kernels.WINDING]
         square += stiffness * both
-        rate += spring[s, DAMPING] * both
+        rate += spring[s, kernels.DAMPING] * both
     for j in range(places.shape[0]):
-        i = int(places[j, WHERE])
-        slope = abs(places[j, WAVE]) * (abs(places[j, COS]) + abs(places[j, SIN])) + abs(places[j, RATE])
+        i, wave = int(places[j, kernels.WHERE]), abs(places[j, kernels.WAVE])
+        slope = wave * (abs(places[j, kernels.COS]) + abs(places[j, kernels.SIN])) + abs(places[j, kernels.RATE])
         square += slope * mobility[i]
-        rate += abs(places[j, WAVE] * v[i])
+        rate += wave * abs(v[i])
     return math.sqrt(square) + rate
