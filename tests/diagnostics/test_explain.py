@@ -38,26 +38,33 @@ SLOWER = ("torque turned round", "reference in degrees", "sample time ten times 
     "name", ["torque and reference swapped", *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)]
 )
 def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: str) -> None:
-    """No estimate is needed, and the cause stands before the error that was raised."""
     record, loop = BY_NAME[name].make(axis("rigid"), 1)
     with pytest.raises(JointidError) as raised:
         identify(record, loop)
     told = explain_failure(raised.value, record, loop)
     assert type(told) is type(raised.value)
     assert not str(told).startswith(str(raised.value))
-    # What is wrong in the record is to be put right, too; how the search ended is an effect of the cause.
     assert (str(raised.value) in str(told)) is isinstance(raised.value, FaultsError)
 
 
 @pytest.mark.slow
 def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one() -> None:
-    """A torque ten times too large and a threefold position gain: the nearest cause is told, but not as the cause."""
     record, loop = BY_NAME["torque ten times as large"].make(axis("direct"), 1)
     gains = {"position_gain": 3 * loop.controller.position_gain}  # type: ignore[attr-defined]
     causes = find_causes(record, replace(loop, controller=with_numbers(loop.controller, gains)))
     assert causes.explanations == ()
     assert causes.nearest is not None and causes.nearest.left > 1.15 * causes.unexplained
     assert causes.message.code is Reason.NO_CAUSE_FOUND
+
+
+def test_a_limit_that_cuts_much_of_the_torque_is_found_from_larger_inertias() -> None:
+    law, joint = Cascade(position_gain=20.0, velocity_gain=440.0, integral_gain=33.0), RigidJoint("revolute")
+    truth = {"inertia": 4.5, "viscous": 13.0, "coulomb": 18.0, "offset": 0.0}
+    reference = trapezoids((1.0, 2.0, 3.0), 30.0, 1.0, 1e-3, duration=6.0)
+    record = simulated_record(ClosedLoop(joint, replace(law, limit=75.0)), reference, truth, sample_time=1e-3)
+    declared = Case(record, ClosedLoop(joint, law), ji.Filtering().resolve(1e-3, "rigid"))
+    starts = [searching._list_rigid_starts(one) for one in list_cases(declared) if one.free == "limit"]
+    assert searching._race(starts)[0].number == pytest.approx(75.0, rel=2e-3)
 
 
 def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
@@ -91,7 +98,6 @@ def test_a_search_takes_the_beginning_of_a_long_record_that_moves_both_ways() ->
 
 
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
-    """It is about what the right loop leaves, whatever loop is declared, and all of it for another motion."""
     record, loop = without_mistake(axis("direct"))
     right = identify(record, loop)
     for gain, out in ((0.1, ()), (1.0, ()), (1.0, ((2.0, 2.5), (4.0, 4.2)))):

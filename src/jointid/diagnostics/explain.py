@@ -1,8 +1,7 @@
 """Search for the cause of a misfit between record and declared drive.
 
-Sensitivities show small deviations of one number (`search`). For a large one, as a torque that is ten times too
-large, the best fit among sensitivities is any number. So each mistake is corrected in turn (`changes`), the joint is
-identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
+Sensitivities show small deviations of one number (`search`); for a large one the best fit among them is any number.
+So each mistake is corrected in turn (`changes`), the joint is identified again, and the causes are ranked by residual.
 
 Of each case the best start is followed for a few steps; poor cases are given up. A flexible joint is first identified
 as rigid, far below its resonance; the rest are fitted to the whole band with a mode, then at the joint of the best.
@@ -17,7 +16,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -71,6 +70,8 @@ _FASTEST = 5e-4  # s of a period: a faster law is as fast as the log, or counts 
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
 _VANISHES = 1e-2  # of the least start of a number: its part of the law is gone there, and with it its derivative
 _LIGHTEST = 0.01  # of the rigid joint: inertia of a motor; a lighter one chatters in its loop
+_CUT, _OFTEN = 0.95, 0.1  # of the largest torque, and of the samples: a limit may cut so many
+_INERTIAS = (1.0, 1.3, 1.6, 2.0, 2.5, 3.2, 4.0)  # times a start's, which is too small where a limit cuts
 _APART, _SHARES = 2, (0.35, 0.65)  # one of so many frequencies is tried; of the load in the inertia of a flexible joint
 
 FAILS = (JointidError, np.linalg.LinAlgError)  # raised where a record does not allow a fit or a check
@@ -383,25 +384,29 @@ def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> list[Fit]:
             fits[k] = begin.descend(_TO_ITS_END) or fit
             spent += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
             least = min(least, fits[k].error)
-    return _best_of_each(fits)
+    return _best_of_each(fits, lambda case: (id(case.change), id(case.record), id(case.loop)))
 
 
-def _best_of_each(fits: Iterable[Fit]) -> list[Fit]:
+def _best_of_each(fits: Iterable[Fit], key: Callable[[Case], object] = id) -> list[Fit]:
     """Fit of each case with the least residual, the best first."""
-    cases = dict[int, Fit]()
+    cases = dict[object, Fit]()
     for fit in sorted(fits, key=lambda fit: fit.error):
-        cases.setdefault(id(fit.case), fit)
+        cases.setdefault(key(fit.case), fit)
     return [*cases.values()]
 
 
 def _list_rigid_starts(case: Case) -> Iterator[Fit]:
-    """Yield starts by the inverted controller or exact tracking, at some delays."""
+    """Yield starts by the inverted controller or exact tracking, at some delays; of a cut torque each is a case."""
+    size = np.abs(case.torque.values)
+    cut = case.free == "limit" and np.mean(size > _CUT * np.max(size)) > _OFTEN
     for problem in filter(None, (_pose(case, loop, low=True) for loop in case.loops)):
         with contextlib.suppress(JointidError):
             for values in rigid_starts(problem, ignore_progress):
                 values["inertia"] = abs(values["inertia"])
                 values |= {p.name: min(max(values[p.name], p.lower), p.upper) for p in problem.free_joint}
-                yield from _delayed(case, problem, values)
+                for by in _INERTIAS if cut else (1.0,):
+                    start = values | {"inertia": by * values["inertia"]}
+                    yield from _delayed(replace(case) if cut else case, problem, start)
 
 
 def _list_flexible_starts(fit: Fit, best: Fit | None = None) -> Iterator[Fit]:

@@ -10,9 +10,8 @@ Each other law of the drive is screened by one simulation at the same joint, the
 test (Davidson and MacKinnon, Econometrica 49, 1981): the residual, regressed on the change of the fit, has the
 coefficient 0 under the declared law and 1 under the other. Of the laws that the record allows the likeliest is chosen.
 
-Of a robot each fault adds a column to the torque of one axis, or of all of them. A wrong scale or a delay of one log
-shows by the other joints, which share the inertias of the links. So the rows of all joints are regressed together, each
-joint by the size of its error.
+Of a robot each fault adds a column to the torque of one axis, or of all. A wrong scale of one log shows by the other
+joints, which share the inertias of the links. So the rows of all joints are regressed together.
 """
 
 from __future__ import annotations
