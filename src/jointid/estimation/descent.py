@@ -42,8 +42,7 @@ def least_squares(tolerance: float, evaluations: int = 200) -> LevenbergMarquard
     return LevenbergMarquardt(tolerance, evaluations, worth=_WORTH * tolerance)
 
 
-ROUGH = least_squares(1e-5, 30)
-"""The solver of a rough descent."""
+ROUGH = least_squares(1e-5, 30)  # the solver of a rough descent
 
 NOTHING = 0.5
 """Of the torque: an end that leaves so much is no answer."""

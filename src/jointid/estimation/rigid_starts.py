@@ -82,6 +82,13 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
     return regular | {"initial_position": float(reference[0]), "initial_velocity": 0.0}
 
 
+def start_with_friction(problem: ClosedLoopProblem, progress: Progress) -> dict[str, float]:
+    """Return the regular inertia with the friction of the reconstructed motion, which a spring bends less."""
+    friction = {p.name: p.lower for p in problem.joint.parameters[1:]}
+    turned, regular = rigid_starts(problem, progress)[0], regular_start(problem.keeping(dict.fromkeys(friction, 0.0)))
+    return regular | {name: max(turned[name], lower) for name, lower in friction.items()}
+
+
 def require_work(problem: ClosedLoopProblem) -> None:
     """Refuse a torque that takes most of the energy exchanged along its motion."""
     try:

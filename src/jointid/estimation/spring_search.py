@@ -6,7 +6,6 @@ For a joint these are tried, in order:
 2. A grid of flexible joints, a simulation each, on a band as wide as the log. Before any identification the loop is
    known: it crosses over where its torque per deviation equals the torque that the inertia needs to follow. A mode
    that affected the tuning lies not far from there, so the grid of free-free frequencies is scaled by the crossover.
-   Half of the grid gives unstable loops, and the rest has local minima.
 3. Rough descents from the best few, at frequencies apart, until two end together; which explain little are given up.
    No step leads to a mode that is too fast for the log, or too much damped, to be an answer.
 4. The best solution with its Coulomb friction divided differently, or partly replaced by a constant force. The motor's
@@ -15,7 +14,7 @@ For a joint these are tried, in order:
 5. A descent to the full tolerance. Where no second start found this solution, it is first repeated from nearby.
    The drive side ends here; it has no loop, and its grid is measured by the cut-off.
 6. The same with the motor moving at the first sample.
-7. If 10 % is unexplained, one start alone led to the end, or its mode is too fast: the same with other inertias.
+7. If 10 % is unexplained, one start alone led to the end, or its mode is too fast: other inertias and friction.
 
 A robot of rigid joints determines sums: of both sides' friction, of rotor and link. These are split, weighted by their
 accuracy, and each spring is given a frequency of rotor against link. The rest is the search of `robots.didim`.
@@ -30,7 +29,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -50,6 +49,7 @@ from jointid.estimation.rigid_starts import (
     regular_start,
     require_work,
     rigid_starts,
+    start_with_friction,
 )
 from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import FlexibleJoint, acts_on_whole, split_by_mode, spring_at
@@ -103,41 +103,41 @@ _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, a
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is searched
 
 
+Rows: TypeAlias = Sequence[tuple[Mapping[str, float], Sequence[float]]]  # rigid joints, each with frequencies, Hz
+
 # Under a controller
 
 
 def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: float | None, history: History) -> Solved:
-    """Return the least torque error of a flexible joint, see the module.
-
-    Args:
-        problem: of the joint with linear laws.
-        task: that it is a part of.
-        frequency: free-free, Hz; a grid is tried when None.
-        history: of the search.
+    """Return the least torque error of a joint with linear laws, see the module; a grid is tried without a frequency.
 
     Raises:
         MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
     """
+    rough, slow = None, _rigid_problem(task, rigid_cutoff(task.record))
     try:
         rough = rough_rigid_joint(task, history)
-        rigid = {p.name: rough.values[p.name] for p in rough.problem.joint.parameters}
+        rigid = {p.name: rough.values[p.name] for p in slow.joint.parameters}
     except MethodError as error:  # a mode inside the bandwidth makes the joint look like no rigid one at any frequency
         require_work(problem)
         history.progress(Detail(error, "starting from a joint that follows its reference"))
-        rough, slow = None, _rigid_problem(task, rigid_cutoff(task.record))
         rigid = regular_start(slow.keeping({p.name: 0.0 for p in slow.joint.parameters if p.name != "inertia"}))
     motion = _find_motion(problem, rough)
 
     def search(widely: bool) -> Solved:
         law, period, poor = problem.axis.law, problem.sample_time, min([NOTHING, *(left for left, _ in ends)])
-        each = [times * rigid["inertia"] for times in (_INERTIAS if widely else (1.0,))]
-        rows = {one: [frequency] if frequency else frequencies_to_try(law, one, period, widely) for one in each}
-        found = search_spring(problem, rigid, rows, task.filtering, history, poor)
+        # Where no spring on the rigid joint explains the torque, its friction may be as wrong as its inertia.
+        bases = [start_with_friction(slow, history.progress), *[rigid] * bool(rough)] if widely else [rigid]
+        scales = _INERTIAS if widely else (1.0,)
+        each = [{**base, "inertia": times * base["inertia"]} for base in bases for times in scales]
+        tried = (frequencies_to_try(law, one["inertia"], period, widely) for one in each)
+        rows = [(each[0], [frequency])] if frequency else [*zip(each, tried, strict=True)]
+        found = search_spring(problem, rows, task.filtering, history, poor)
         if motion is None:
             return found
         # From an end at rest no descent leads to one that moves.
         moving = problem.replace_parameters({p.name: replace(p, start=motion[p.name]) for p in INITIAL_STATE})
-        end = search_spring(moving, rigid, rows, task.filtering, history, poor)
+        end = search_spring(moving, rows, task.filtering, history, poor)
         return end if is_significant(found, end) else found
 
     ends, failures = list[tuple[float, Solved]](), list[MethodError]()
@@ -256,12 +256,7 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
 
 
 def search_spring(
-    problem: ClosedLoopProblem,
-    rigid: Mapping[str, float],
-    rows: Mapping[float, Sequence[float]],
-    filtering: Filtering,
-    history: History,
-    poor: float = NOTHING,
+    problem: ClosedLoopProblem, rows: Rows, filtering: Filtering, history: History, poor: float = NOTHING
 ) -> Solved:
     """Best flexible joint from a grid of starts, see the module.
 
@@ -270,8 +265,7 @@ def search_spring(
 
     Args:
         problem: of the joint, under its controller or along the motion of its motor.
-        rigid: values of a rigid joint.
-        rows: free-free frequencies to start from, Hz, by inertia: several, if the rigid joint may be another one.
+        rows: values of rigid joints, each with free-free frequencies to start from, Hz.
         filtering: as requested.
         history: of the search.
         poor: of the torque: an end that leaves more is not followed.
@@ -281,7 +275,7 @@ def search_spring(
     """
     wide, ends, together = on_band(problem, filtering, math.inf), list[tuple[float, float, FloatArray]](), 0
     rough, history = replace(ROUGH, poor=poor * wide.size), replace(history, admits=partial(_is_followed, wide))
-    for values in _explore(wide, rigid, rows, history)[:_REFINED]:
+    for values in _explore(wide, rows, history)[:_REFINED]:
         on = on_band(problem, filtering, frequency_of(values))
         x = history.solve(on, on.vector(values), rough).x
         ends.append((float(np.linalg.norm(wide.residual(x))), _mode_of(on.values(x), on.sample_time), x))
@@ -320,14 +314,12 @@ def _is_followed(problem: ClosedLoopProblem, x: FloatArray) -> bool:
     return fastest * problem.sample_time <= _FOLLOWED
 
 
-def _explore(
-    problem: ClosedLoopProblem, rigid: Mapping[str, float], rows: Mapping[float, Sequence[float]], history: History
-) -> list[dict[str, float]]:
-    """Best start at each frequency, or of several inertias at each, best first; all starts for one frequency."""
+def _explore(problem: ClosedLoopProblem, rows: Rows, history: History) -> list[dict[str, float]]:
+    """Best start at each frequency, or of several rigid joints at each, best first; all starts for one frequency."""
     shares = _WIDE_SHARES if len(rows) > 1 else _SHARES
-    each = [(inertia, f, share) for inertia, row in rows.items() for f, share in product(row, shares)]
+    each = [(i, f, share) for i, (_, row) in enumerate(rows) for f, share in product(row, shares)]
     by = 0 if len(rows) > 1 else 1 if len(each) > len(shares) else None
-    starts = [start_with_mode(problem, {**rigid, "inertia": one}, f, share) for one, f, share in each]
+    starts = [start_with_mode(problem, rows[i][0], f, share) for i, f, share in each]
     costs = in_threads(lambda start: float(np.linalg.norm(problem.residual(problem.vector(start)))), starts)
     history.counted.evaluations += len(starts)
     found = dict[object, dict[str, float]]()
@@ -355,9 +347,7 @@ def start_with_mode(
 
 
 def divide(parameters: Iterable[Parameter], rigid: Mapping[str, float], on_motor: float) -> dict[str, float]:
-    """Divide a rigid joint's values between the sides of a flexible one.
-
-    Speeds and displacements of friction laws are the same on both sides.
+    """Divide a rigid joint's values between the sides of a flexible one, whose laws share speeds and displacements.
 
     Args:
         parameters: of the flexible joint, and of its surroundings.

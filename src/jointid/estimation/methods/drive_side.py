@@ -175,8 +175,8 @@ def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, histor
     joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.around[-1]
     rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
-    rows = {values["inertia"]: row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))}
-    return history.solve(problem, search_spring(problem, values, rows, problem.filtering, history).x)
+    row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
+    return history.solve(problem, search_spring(problem, [(values, row)], problem.filtering, history).x)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:
