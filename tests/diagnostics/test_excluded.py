@@ -50,6 +50,12 @@ def test_a_fault_that_the_motor_position_shows_is_not_excluded(law: Cascade, gai
     assert excludes(logged(LOOP.joint, PLAIN), LOOP, law, gain=gain - 1.0)
 
 
+def test_what_no_record_tells_from_a_fault_moves_the_values_by_its_own_size() -> None:
+    record = logged(LOOP.joint, PLAIN, gain=1.05).without("motor_position")
+    first, *_ = faults_of(found := ji.identify(record, LOOP, checks=False), record).findings
+    assert first.test.alike and found["inertia"].value + first.changes["inertia"].by == pytest.approx(30.0, abs=0.1)
+
+
 def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
     record = logged(LOOP.joint, PLAIN)
     assert excludes(record, LOOP, LAW, late=5e-4)

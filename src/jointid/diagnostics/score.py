@@ -286,15 +286,18 @@ class SolvedLoop:
         force = find_force(problem, x, run, problem.measured - run.torque)
         return [] if force is None else [*simulate_errors(problem, x, force, _FORCES)]
 
-    @cached_property
-    def _all_tests(self) -> tuple[FaultTest, ...]:
+    def _test(self, faults: Iterable[Fault]) -> tuple[FaultTest, ...]:
         controller, known = self.problem.loop.controller, {*self.named}
         declared = {
             fault: surrounding(fault.name, controller).start or 0.0 if fault.declared is None else fault.declared
-            for fault in dict.fromkeys(one.fault for one in self.signatures)
+            for fault in faults
             if not {fault.name, fault.kin} & known
         }
         return score(self.residual, self.own, self.signatures, declared, self._where, lambda: self._forced)
+
+    @cached_property
+    def _all_tests(self) -> tuple[FaultTest, ...]:
+        return self._test(one.fault for one in self.signatures)
 
     @cached_property
     def excluded(self) -> tuple[FaultTest, ...]:
@@ -328,6 +331,10 @@ class SolvedLoop:
         signatures = [*self.signatures, FaultSignature(fault, moved)]
         test = score(self.residual, self.own, signatures, {fault: 0.0}, self._where, lambda: self._forced)[0]
         return replace(test, p_value=min((len(self.tests) + _LAWS) * test.p_value, 1.0))
+
+    def list_alike(self, test: FaultTest) -> tuple[FaultTest, ...]:
+        """Tests of the faults that no record distinguishes from this one, each by its own size."""
+        return tuple(one for fault in test.alike for one in self._test([fault]) if not self._excludes(one))
 
     def list_rivals(self, test: FaultTest) -> tuple[FaultTest, ...]:
         """Significant tests of other faults that are nearly as likely."""

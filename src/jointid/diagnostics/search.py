@@ -80,13 +80,7 @@ def is_gross(one: FaultTest, period: float) -> bool:
 def search_faults(
     initial: SolvedLoop, most: int = MOST, explain: Callable[[Sequence[Finding]], bool] = lambda _: False
 ) -> AxisFaults:
-    """Return the faults of a joint, its loop and its log.
-
-    Args:
-        initial: its solved problem; the identified parameters are free, and are not tested.
-        most: faults named at most, one after another.
-        explain: whether a gross fault has a cause, which ends the search.
-    """
+    """Return the faults of a solved joint, `most` of them; a gross one that `explain` finds a cause for is the last."""
     problem = initial.problem
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
     # A rigid joint's DIDIM ends near the least squares, not on them.
@@ -139,9 +133,9 @@ def search_faults(
 
 
 def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
-    """Finding of a test, with rivals' shifts, and the corrected problem."""
+    """Finding of a test, with the largest shifts of all that may be the cause, and the corrected problem."""
     (after, values), rivals = _correct(found, test), found.list_rivals(test)
-    changes = found.shifts_to(values, *(_correct(found, one)[1] for one in rivals))  # any of them may be the cause
+    changes = found.shifts_to(values, *(_correct(found, one)[1] for one in (*rivals, *found.list_alike(test))))
     left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
     if len(after.corrected) > len(found.corrected):
         fitted = not test.fault.mechanical or values.keys() != after.problem.units.keys()
