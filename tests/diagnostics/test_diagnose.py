@@ -115,8 +115,7 @@ def test_a_law_holds_that_is_fifty_times_faster_than_the_log_of_a_motion_up_to_a
     )
     found = compare_law(record, ClosedLoop(RigidJoint("revolute"), law))
     assert found.left < 0.01  # lines between the positions leave 44 %, and show a delay of half a sample
-    assert found.late == 0.0
-    assert found.holds
+    assert found.late == 0.0 and found.holds
 
 
 def test_the_law_is_seen_in_the_motor_s_position_alone() -> None:

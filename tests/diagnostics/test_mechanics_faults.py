@@ -130,8 +130,7 @@ def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, se
     assert before.value is not None and before.stderr and after.value == before.value
     assert after.stderr == before.stderr  # from run to run it scatters as before
     truth = made.truth["stiffness"]  # near no deflection, or of the first spring
-    assert abs(before.value - truth) > 3 * before.stderr
-    assert after.interval[0] < truth < after.interval[1]
+    assert abs(before.value - truth) > 3 * before.stderr and after.interval[0] < truth < after.interval[1]
     assert found.answer.found.values["two_sigma"] == 2 * after.deviation
     assert found.answer.trust.code == Trust.NOT_YET
     if fault == "cubic spring":

@@ -109,6 +109,5 @@ def test_of_a_robot_the_joint_that_changed_is_named(by_torques: bool) -> None:
         driven = [one.without("torque") for one in recorded(twin.loop(), other, 0.02)[0]]
         assert ji.validate(estimate, driven).answer.code is Prediction.PREDICTED, "as the declared controllers make it"
     there = ji.validate(estimate, recorded(replace(twin.loop(), robot=changed), other, 0.02)[0])
-    assert there.answer.code is Prediction.NOT_PREDICTED
-    assert there.axes[0].prediction is Prediction.PREDICTED
+    assert there.answer.code is Prediction.NOT_PREDICTED and there.axes[0].prediction is Prediction.PREDICTED
     assert there.axes[1].attainable_error == pytest.approx(same.axes[1].filtered_error, rel=0.3)

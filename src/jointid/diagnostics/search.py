@@ -197,8 +197,7 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
         change = require_success(other.simulate(end.x)).torque - found.problem.torque(found.x)
     except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable with it is not that of the record
         return None
-    smaller = np.linalg.norm(end.residual) < np.linalg.norm(found.residual)
-    return (change, other.values(end.x)) if smaller else None
+    return (change, other.values(end.x)) if np.linalg.norm(end.residual) < np.linalg.norm(found.residual) else None
 
 
 # Other laws
