@@ -261,11 +261,9 @@ class LoopInput:
 
     def to_log(self, signals: FloatArray) -> FloatArray:
         """Logged torques, (samples, n), of torques per step, (n, steps)."""
-        clock, found = self.clock, []
-        for j, each in enumerate(self.axes):
-            command = clock.own(j, signals[j], each.periods)
-            found.append(to_log(each, command + each.shown)[: clock.samples])
-        return np.column_stack(found)
+        clock, axes = self.clock, enumerate(self.axes)
+        found = [to_log(each, clock.own(j, signals[j], each.periods) + each.shown)[: clock.samples] for j, each in axes]
+        return np.column_stack(found) if len(found) > 1 else found[0][:, np.newaxis]  # without a copy
 
 
 def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> LoopInput:

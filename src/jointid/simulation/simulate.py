@@ -203,7 +203,7 @@ def integrate(
     axes, clock = loop.post.shape
     parts, (_, elements, periods) = loop.lengths.size, loop.w.shape
     array: Any = room.array if room is not None else lambda _, *of: np.empty(*of)
-    command = np.zeros((axes, clock))  # never in a room: it may be an answer
+    command = np.empty((axes, clock))  # never in a room: it may be an answer
     excess = array("excess", (axes, periods if keep else 0, elements))
     excess[:] = 0.0
     followed, modes = clock * parts if keep and straight else 0, 0
@@ -225,11 +225,12 @@ def integrate(
             break
         rows = int(counts[1])
     done = int(counts[2])
-    command[:, done:] = command[:, done - 1 : done] if done else 0.0
-    for j, every in enumerate(loop.every):
-        excess[j, -(-done // int(every)) :] = 0.0
-    for signal in (command, excess, path.states[: done * parts]) if status != kernels.FINISHED else ():  # overflow
-        np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    if status != kernels.FINISHED:
+        command[:, done:] = command[:, done - 1 : done] if done else 0.0
+        for j, every in enumerate(loop.every):
+            excess[j, -(-done // int(every)) :] = 0.0
+        for signal in command, excess, path.states[: done * parts]:  # overflow
+            np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return tuple(Outcome)[status], command, excess, tape[: counts[1]], path, counts
 
 

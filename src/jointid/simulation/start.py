@@ -69,13 +69,14 @@ def begin(experiment: LoopInput, numbers: Numbers, initial: Initial | None = Non
         places, load = steady.settle()
         speeds, holding = steady.of_masses(steady.speeds), load - experiment.sampled.post[:, 0]
         wound = np.sign(speeds)
-        integrates = [each.integral is not None for each in experiment.axes]
-        torques = tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True))
+        held = zip(holding, experiment.axes, strict=True)
+        torques = tuple(float(torque) if axis.integral is not None else None for torque, axis in held)
     else:
         position = float(experiment.axis.inputs[0, REFERENCE]) if initial.position is None else initial.position
         velocity, torques = initial.velocity or 0.0, (initial.torque,)
         sliding = wound_up(experiment.axis, velocity)
-        places, _ = steady_joint(numbers, position, velocity, sliding).settle()
+        pulled, places = velocity or numbers.joints[0].forces, np.full(numbers.count, position)
+        places = steady_joint(numbers, position, velocity, sliding).settle()[0] if pulled else places
         speeds, wound = np.full(places.size, velocity), np.full(places.size, sliding)
     states, before = np.zeros((len(numbers.joints), experiment.sampled.A.shape[-1])), np.zeros(len(torques))
     for j, (each, motor) in enumerate(zip(experiment.axes, numbers.motors, strict=True)):
