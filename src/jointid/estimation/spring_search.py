@@ -126,10 +126,9 @@ def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: flo
 
     def search(widely: bool) -> Solved:
         law, period, poor = problem.axis.law, problem.sample_time, min([NOTHING, *(left for left, _ in ends)])
-        # Where no spring on the rigid joint explains the torque, its friction may be as wrong as its inertia.
         bases = [start_with_friction(slow, history.progress), *[rigid] * bool(rough)] if widely else [rigid]
-        scales = _INERTIAS if widely else (1.0,)
-        each = [{**base, "inertia": times * base["inertia"]} for base in bases for times in scales]
+        scaled = product(bases, _INERTIAS if widely else (1.0,))
+        each = [{**base, "inertia": times * base["inertia"]} for base, times in scaled]
         tried = (frequencies_to_try(law, one["inertia"], period, widely) for one in each)
         rows = [(each[0], [frequency])] if frequency else [*zip(each, tried, strict=True)]
         found = search_spring(problem, rows, task.filtering, history, poor)
@@ -405,7 +404,8 @@ def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: 
         tried.append(problem.vector(values | moved))
     here, *left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), [x, *tried])
     nearest = [tried[i] for i in np.argsort(left)[:2]]  # a valley's two sides may have a bottom each
-    ends = in_threads(lambda at: Solved(problem, solve(problem, LevenbergMarquardt(evaluations=2), at)), nearest)
+    few = LevenbergMarquardt(evaluations=2, admits=history.admits)
+    ends = in_threads(lambda at: Solved(problem, solve(problem, few, at)), nearest)
     best = min(ends, key=attrgetter("norm"))
     if not best.norm < (1 - _BETTER) * here - _REST * problem.size:
         return None
