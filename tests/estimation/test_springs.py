@@ -31,8 +31,8 @@ def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.M
         if problem.joint != case.loop.joint:
             return solve(history, problem, x, solver)
         if solver is None:  # it goes on to the end
-            assert ends[0].norm > min(end.norm for end in ends)
-            assert x is min(ends, key=lambda end: end.norm).x
+            (here,) = (end for end in ends if end.x is x)
+            assert here.norm <= (1 + 1e-5) * min(end.norm for end in ends) < ends[0].norm
             raise MethodError("enough")
         end = solve(history, problem, x, solver)
         if not ends:  # all starts may reach one end: the first is made a worse one
