@@ -269,8 +269,8 @@ class _Search:
             raise failures[0]
         return min(ends, key=lambda end: float(np.linalg.norm(end[0].relative_error)))
 
-    def find_rigid(self, under: Any, through: Filtering | None) -> RobotFit:
-        """Return the fit of rigid joints.
+    def find_rigid(self, under: Any, through: Filtering | None, turns: int = 4) -> RobotFit:
+        """Return the fit of rigid joints, with `turns` of their weights at most.
 
         Raises:
             MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
@@ -287,7 +287,7 @@ class _Search:
             x = np.zeros(len(problem.free))
         else:
             x = start_rigid_robot(problem, under, each_log(self.records)[0])
-        return _settle(problem, _descend(problem, x, _ROUGH, self.history), self.history)
+        return _settle(problem, _descend(problem, x, _ROUGH, self.history), self.history, turns)
 
     def find_springs(self, near: Any) -> RobotFit:
         """Search the flexible robot of least torque error from the rigid one.
@@ -297,7 +297,7 @@ class _Search:
         """
         problem = self.pose(near, self.filtering)
         _require_springs(near.robot, self.how.frequencies, problem.sample_time)
-        rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW)
+        rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW, 1)
         problem = problem.reweight(problem.error(rigid.runs), rigid.x.size)
         found = self.find_springs_from(problem, problem.roughly(), rigid)
         if self.along and problem.roughly() is not problem and None not in found.springs.values():
@@ -413,9 +413,9 @@ def _descend(
     return history.solve(problem, x, LevenbergMarquardt(tolerance, limit, reach, worth, exact))
 
 
-def _settle(problem: Simulated, end: Solved, history: History) -> RobotFit:
+def _settle(problem: Simulated, end: Solved, history: History, turns: int = 4) -> RobotFit:
     """Descend to full tolerance, re-estimating the joints' errors until they settle."""
-    for _ in range(4):
+    for _ in range(turns):
         weighed = replace(problem, sigma=_reweight(end).sigma)
         # A step worth less than a tenth, in units of the noise, moves all parameters by 0.3 deviations.
         end = _go_on(weighed, end, (3e-5, 0.1 / end.solution.residual.size), history)
