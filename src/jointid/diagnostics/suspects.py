@@ -33,7 +33,6 @@ _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: t
 _HANGS = (0.0, 0.25 * np.pi, 0.5 * np.pi, 0.75 * np.pi)  # rad: the lowest place of a load, or the highest
 _SAGS = (1.0, 2.0)  # powers of the torque, by which the torque constant may fall
 _LEAST_SAG = 0.04  # of the torque at the peak: to so much a torque constant is known to be one
-_LEAST_SHARE = 0.5  # of a change that a drive makes as a whole, or not at all
 _WAVES, _TURNED = 4, 1.0  # periods in the travel; rad at least, that show an error of each turn, or a weight
 _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
@@ -531,8 +530,8 @@ _ROWS = (
     DELAY, REFERENCE_DELAY, LOG_GAIN, LOG_DELAY, _number("gain", "gain of the controller's output"),
     Fault("injected_gain", "size of the injected signal", _scale_injected, declared=1.0), OFFSET,
     _turns("eccentric_encoder", "encoder off its centre", partial(_in_turns, "motor"), "centre it", measure="position"),
-    _turns("unlogged_gravity", "torque log without the load's weight", partial(_in_turns, "load"), measure="torque"),
-    Fault("load_encoder", "position loop closed on the load", _follow_load, one_sided=True, least=_LEAST_SHARE),
+    _turns("unlogged_gravity", "log without a load's weight", partial(_in_turns, "load"), "log it", measure="torque"),
+    Fault("load_encoder", "position loop on the load", _follow_load, "take the motor's", one_sided=True, least=0.5),
     Fault(
         "torque_saturation", "torque constant that falls with the current", _saturate,
         "the joint file has one torque constant: record with half of that torque",
@@ -549,7 +548,7 @@ _ROWS = (
     ),
     _low_speed(
         "presliding", "friction that falls towards standstill", partial(_at_low_speed, -1.0),
-        'declare friction = "stribeck" of a speed near {shape} if smooth at rest (tanh), "presliding" if it winds up',
+        'declare friction = "stribeck", stribeck_speed near {shape}, if smooth at rest (tanh), else "presliding"',
     ),
     _position("uneven_friction", "friction that differs along the travel", _along_travel, measure="torque"),
     _friction(

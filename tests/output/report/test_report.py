@@ -56,7 +56,7 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     assert repetition(joint, [record], {}).record_date == "1971-01-02"
     of_folder = repetition(joint, [tmp_path], {}, ["joint.torque_constant=0.5"])
     assert of_folder.record_date and of_folder.declared["Controller"] == "law cascade, integral time 30 ms"
-    assert "no record checks it" in of_folder.declared["Drive"]
+    assert "0.5 (" in of_folder.declared["Drive"]
     one, both = repetition(joint, [record], {}), repetition(joint, [record, emps_path], {})
     record.write_text("t2", encoding="utf-8")
     hashes = {each.record_file_sha256 for each in (one, both, repetition(joint, [record, emps_path], {}))}

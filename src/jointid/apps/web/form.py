@@ -39,9 +39,9 @@ _SHOWN = ("integral_time", "derivative_gain", "gain", "limit", "period", "delay"
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are not folded
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
 _OF_READING = ("sample_time", "optional", "time")  # keys of a channel without a field
-_LONGEST, _MOST = 300, 100_000  # characters of a field, and of the further lines
-_STATED = re.compile(r'(?:\[(\w+)\] )?\b([a-z]\w*(?:\.\w+)*)( = (?:"[^"]*"|\[[^]]*\]|{[^}]*}|[-+.\de]+\b))?')
-_NAME = 80  # characters of a file's name
+_LONGEST, _MOST, _NAME = 300, 100_000, 80  # characters of a field, of the further lines, and of a file's name
+_VALUE = r'"[^"]*"|\[(?:[^][]|\[[^]]*\])*\]|{[^}]*}|[-+.\de]+\b'
+_STATED = re.compile(rf"(?:\[(\w+)\] )?\b([a-z]\w*(?:\.\w+)*)( = (?:{_VALUE}))?")
 
 Tables = dict[str, Any]
 Texts = Mapping[str, str]
@@ -271,7 +271,7 @@ def name_fields(words: str, shown: Mapping[str, Field]) -> str:
         table, key, value = found.groups(default="")
         if label := (value or not key.isalpha()) and labels.get(f"{table}.{key}" if table else key):
             return f"“{label}”{value.replace(' =', ':', 1)}"
-        return f"{found[0]} (in Further lines)" if value and shown else found[0]
+        return f"{found[0]} (in Further lines)" if value and shown and (table or "_" in key) else found[0]
 
     return _STATED.sub(show, words)
 

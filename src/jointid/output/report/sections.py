@@ -118,7 +118,7 @@ def repetition(
     names = ", ".join(record.name for record in records)
     tables = apply_changes(tomllib.loads(text), changes)
     constant = tables.get("joint", {}).get("torque_constant")
-    drive = {"torque_constant": f"{constant} (no record checks it; all values are as right as it)"} if constant else {}
+    drive = {"torque_constant": f"{constant} (it scales all values; only a known mass shows it)"} if constant else {}
     stated = {"Controller": tables.get("controller", {}), "Drive": tables.get("drive", {}) | drive}
     told = {name: _say(table)[1:-1] for name, table in stated.items() if table}
     return Repetition(__version__, names, date, known, joint.name, text, command, told)
