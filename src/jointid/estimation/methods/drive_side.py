@@ -144,8 +144,7 @@ class DriveSideFit(Method):
             left = np.split(found.residual, np.cumsum(problem.series)[:-1])
             pairs = zip(left, (float(np.sum(one.moving)) or 1.0 for one in motions), strict=True)
             sizes = [max(float(np.linalg.norm(e)), problem.floor) / math.sqrt(moving) for e, moving in pairs]
-            logs: Any = zip(problem.logs, sizes, strict=True)
-            problem = replace(problem, logs=tuple(replace(log, weight=min(sizes) / size) for log, size in logs))
+            problem = replace(problem, sigma=np.array([sizes]) / min(sizes))
             found = history.solve(problem, found.x).solution
         x, J, error = found.x, found.jacobian, found.residual
         influence = Influence(J, error, series=problem.series)

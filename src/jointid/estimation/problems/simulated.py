@@ -245,7 +245,7 @@ class MotionLog:
         filtering: resolved.
         motion: as measured.
         prescribed: the motors' motion.
-        parts, weight: number of parts of a sample; factor of the rows.
+        parts: number of parts of a sample.
     """
 
     measured: FloatArray
@@ -253,7 +253,6 @@ class MotionLog:
     motion: MeasuredMotion
     prescribed: PrescribedMotion
     parts: int = PARTS_OF_ROBOT
-    weight: float = 1.0
     motion_measured: ClassVar[bool] = True
 
     @property
@@ -325,8 +324,8 @@ class MotionLog:
         return found
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
-        """Filter and weight columns of one joint, (samples, ...), 0 at rest."""
-        rows = self.weight * self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
+        """Filter columns of one joint, (samples, ...), 0 at rest."""
+        rows = self.motion.decimate_joint(joint, columns.reshape(len(columns), -1))
         return rows.reshape(len(rows), *columns.shape[1:])
 
     def _show(self, run: DriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
@@ -541,7 +540,8 @@ class Simulated:
             errors.append(error)
             slopes.append(J)
             finished &= run.outcome is Outcome.FINISHED
-        return self.weigh(self._rows(errors)), self.weigh(self._rows(slopes) if finished else 0.0 * self._rows(slopes))
+        J = self._rows(slopes)
+        return self.weigh(self._rows(errors)), self.weigh(J if finished else np.zeros_like(J))
 
 
 # The problem of one joint
