@@ -271,7 +271,7 @@ def _say_times(factor: float) -> str:
 
 
 def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Cause]:
-    """Yield causes of a torque or law factor, the most specific first; an injected signal tells the two apart."""
+    """Yield causes of a torque or law factor, the most specific first."""
     assert value is not None
     numbers, constant = case.numbers, getattr(case.controller, "gain", 1.0)
     factor, gear = value if of_torque else value / numbers["gain"], case.loop.joint.transmission

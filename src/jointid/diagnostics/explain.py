@@ -186,7 +186,7 @@ def explain_failure(
     progress: Progress = ignore_progress,
     free: Sequence[str] = (),
 ) -> JointidError:
-    """Error of a failed identification, with its cause, replaced by it, or with the record's remarks."""
+    """Error of a failed identification, with or replaced by its cause."""
     if record.remarks and not isinstance(error, FaultsError):
         error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
     causes = find_failure_causes(record, loop, free, progress)
@@ -310,7 +310,7 @@ def list_cases(declared: Case) -> list[Case]:
 
 
 def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:
-    """Causes with the smallest residuals; none if they explain too little, or a number changes as by friction."""
+    """Causes with the smallest residuals; none if they explain too little."""
     if not candidates or is_small(best := candidates[0], declared):
         return ()
     most = (_LEAVES_BY_TIME if best.name == "sample_time" else _LEAVES) * left
@@ -396,7 +396,7 @@ def _best_of_each(fits: Iterable[Fit], key: Callable[[Case], object] = id) -> li
 
 
 def _list_rigid_starts(case: Case) -> Iterator[Fit]:
-    """Yield starts by the inverted controller or exact tracking, at some delays; of a cut torque each is a case."""
+    """Yield starts by the inverted controller or exact tracking, at some delays."""
     size = np.abs(case.torque.values)
     cut = case.free == "limit" and np.mean(size > _CUT * np.max(size)) > _OFTEN
     for problem in filter(None, (_pose(case, loop, low=True) for loop in case.loops)):

@@ -299,7 +299,7 @@ def list_undeclared(controller: Any, sample_time: float, axis: int = 0) -> Itera
 
 
 def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
-    """Yield the shifts of parameters by undeclared elements that are neither excluded nor named by the diagnosis."""
+    """Yield parameter shifts by undeclared elements that are not excluded or named."""
     torques, part, names = found.torques, fit.robot, list[str]()
     log: Any = None
     run: Any = None

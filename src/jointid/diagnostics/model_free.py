@@ -146,7 +146,7 @@ def find_steps(record: Record) -> Message | None:
 
 
 def find_lost_samples(record: Record) -> Message | None:
-    """Message on samples missing without time stamps, where a smooth motion makes several steps at once, or None."""
+    """Message on samples missing without stamps, or None: several steps at once."""
     channel = record.reference or record.motor_position
     if channel is None or channel.values.size < 2 * _FEWEST_STEPS:
         return None
@@ -260,7 +260,7 @@ def find_profiled_steps(record: Record) -> Message | None:
 
 
 def find_standstill(record: Record) -> Message | None:
-    """Message on a motor that hardly moves, whatever its reference, which may be another channel; None if it moves."""
+    """Message on a motor that hardly moves, whatever its reference, or None."""
     motor, reference = record.motor_position, record.reference
     if record.injected is not None or motor is None or reference is None:  # a signal moves the joint, too
         return None

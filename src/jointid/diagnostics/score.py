@@ -333,7 +333,7 @@ class SolvedLoop:
         return replace(test, p_value=min((len(self.tests) + _LAWS) * test.p_value, 1.0))
 
     def list_alike(self, test: FaultTest) -> tuple[FaultTest, ...]:
-        """Tests of the faults that no record distinguishes from this one, each by its own size."""
+        """Tests of the faults that no record distinguishes from this one."""
         return tuple(one for fault in test.alike for one in self._test([fault]) if not self._excludes(one))
 
     def list_rivals(self, test: FaultTest) -> tuple[FaultTest, ...]:

@@ -80,7 +80,7 @@ def is_gross(one: FaultTest, period: float) -> bool:
 def search_faults(
     initial: SolvedLoop, most: int = MOST, explain: Callable[[Sequence[Finding]], bool] = lambda _: False
 ) -> AxisFaults:
-    """Return the faults of a solved joint, `most` of them; a gross one that `explain` finds a cause for is the last."""
+    """Return a joint's faults, `most` at most, until `explain` finds a cause."""
     problem = initial.problem
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
     # A rigid joint's DIDIM ends near the least squares, not on them.
@@ -133,7 +133,7 @@ def search_faults(
 
 
 def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
-    """Finding of a test, with the largest shifts of all that may be the cause, and the corrected problem."""
+    """Finding of a test, with the largest shifts, and the corrected problem."""
     (after, values), rivals = _correct(found, test), found.list_rivals(test)
     changes = found.shifts_to(values, *(_correct(found, one)[1] for one in (*rivals, *found.list_alike(test))))
     left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
@@ -188,7 +188,7 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
 
 
 def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:
-    """Torque change, (samples,), and parameters of another joint law by a short search; None if it leaves no less."""
+    """Torque change, (samples,), and parameters of another joint law, or None."""
     if signature.trial is None:
         return None
     other, start = signature.trial
@@ -300,9 +300,7 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
     return tests
 
 
-def _list_late(
-    problem: ClosedLoopProblem, x: FloatArray, longest: float = _LONGEST_LAG
-) -> Sequence[tuple[OtherLaw, FloatArray]]:
+def _list_late(problem: ClosedLoopProblem, x: FloatArray, longest: float) -> Sequence[tuple[OtherLaw, FloatArray]]:
     """Averaged and delayed reference, by its delay, and a torque that lags or is late; each with first parameters."""
     law: Any = problem.loop.controller
     period, measured = float(problem.axis.law.period), problem.axis.tap is Tap.MEASURED
@@ -364,7 +362,7 @@ def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] =
 
 
 def find_undecided(found: SolvedLoop, tests: Sequence[LawTest]) -> list[Finding]:
-    """Admissible law, of rates the likeliest, that moves stiffness or inertia furthest out of its interval, if any."""
+    """Admissible law that moves stiffness or inertia furthest out of its interval."""
     moving = list[tuple[float, float, Finding]]()
     for one in (one for one in tests if one.possible and one.test.fault in changes.OPEN):
         kin = (other for other in tests if other.test.fault == one.test.fault)

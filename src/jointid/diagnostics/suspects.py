@@ -353,9 +353,9 @@ def _hang(seen: Seen) -> Columns:
 
 
 def _in_turns(side: Side, seen: Seen) -> Columns:
-    """Yield the answer of a loop to an error of its position in each turn, or to a load's weight that is not logged.
+    """Yield the torque of a position error, or an unlogged weight, per turn.
 
-    What the law puts out for that error is a force on the motor, and is in the logged torque itself.
+    Of the motor the law's answer to the error is the force, and is logged; of the load the weight itself is.
     """
     angle = seen.turned(side)
     if angle is None or seen.loop is None or np.ptp(angle) < _TURNED or any(seen.loop[0].log.seen):
@@ -369,7 +369,7 @@ def _in_turns(side: Side, seen: Seen) -> Columns:
 
 
 def _follow_load(seen: Seen) -> Columns:
-    """Yield the answer of a cascade whose position, but not its velocity, errs by the wind-up of the spring."""
+    """Yield a cascade's answer to a position that is the load's."""
     if seen.loop is None or not seen.is_flexible or any(seen.loop[0].log.seen):
         return
     axis, run = seen.loop[0].axis, seen.loop[0].simulate(seen.loop[1])

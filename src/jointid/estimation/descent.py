@@ -111,7 +111,7 @@ class History:
         return Solved(problem, solve(self.counted, solver, start, watch))
 
     def search(self, problem: Any, starts: Iterable[FloatArray], solver: LevenbergMarquardt | None = None) -> Solved:
-        """Descend from each start, and return the end of least error, of equal ones the first."""
+        """Descend from each start; return the first end of least error."""
         best, *others = (self.solve(problem, x, solver) for x in starts)
         for end in others:
             best = end if end.norm < (1.0 - _BETTER) * best.norm else best

@@ -152,7 +152,7 @@ _SCALED = ("motor_inertia", "stiffness")  # what a search may take on a logarith
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """The parameters of a robot or a joint, and their places among its numbers.
+    """Parameters of a robot or a joint, and their places.
 
     Attributes:
         parameters: names, quantities and bounds; of those on a logarithmic scale bounds of the logarithm. Those with a
@@ -172,7 +172,7 @@ class Parameters:
 
     @classmethod
     def of_joint(cls, joint: Joint, parameters: Iterable[Parameter]) -> Parameters:
-        """Parameters of a joint in the order of its table, then of its surroundings; none is grouped."""
+        """Parameters of a joint, then of its surroundings; none is grouped."""
         parameters = tuple(parameters)
         count, numbers = len(parameters), Numbers.of_joint(joint, {p.name: p.start or 0.0 for p in parameters})
         places = tuple(Place(0, p.name) for p in parameters)

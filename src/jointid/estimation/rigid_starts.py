@@ -83,7 +83,7 @@ def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
 
 
 def start_with_friction(problem: ClosedLoopProblem, progress: Progress) -> dict[str, float]:
-    """Return the regular inertia with the friction of the reconstructed motion, which a spring bends less."""
+    """Return the regular inertia with the friction of the reconstructed motion."""
     friction = {p.name: p.lower for p in problem.joint.parameters[1:]}
     turned, regular = rigid_starts(problem, progress)[0], regular_start(problem.keeping(dict.fromkeys(friction, 0.0)))
     return regular | {name: max(turned[name], lower) for name, lower in friction.items()}

@@ -109,7 +109,7 @@ Rows: TypeAlias = Sequence[tuple[Mapping[str, float], Sequence[float]]]  # rigid
 
 
 def search_flexible_joint(problem: ClosedLoopProblem, task: Task, frequency: float | None, history: History) -> Solved:
-    """Return the least torque error of a joint with linear laws, see the module; a grid is tried without a frequency.
+    """Search a flexible joint from a frequency, Hz, or from a grid.
 
     Raises:
         MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
@@ -314,7 +314,7 @@ def _is_followed(problem: ClosedLoopProblem, x: FloatArray) -> bool:
 
 
 def _explore(problem: ClosedLoopProblem, rows: Rows, history: History) -> list[dict[str, float]]:
-    """Best start at each frequency, or of several rigid joints at each, best first; all starts for one frequency."""
+    """Best starts by frequency, or by rigid joint, best first."""
     shares = _WIDE_SHARES if len(rows) > 1 else _SHARES
     each = [(i, f, share) for i, (_, row) in enumerate(rows) for f, share in product(row, shares)]
     by = 0 if len(rows) > 1 else 1 if len(each) > len(shares) else None
@@ -346,7 +346,7 @@ def start_with_mode(
 
 
 def divide(parameters: Iterable[Parameter], rigid: Mapping[str, float], on_motor: float) -> dict[str, float]:
-    """Divide a rigid joint's values between the sides of a flexible one, whose laws share speeds and displacements.
+    """Divide a rigid joint's values between the sides of a flexible one.
 
     Args:
         parameters: of the flexible joint, and of its surroundings.

@@ -324,10 +324,10 @@ def by_simplex(record: Record, loop: ClosedLoop, rigid: Estimate, best: Estimate
 
 
 def by_inverse_model(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[dict[str, float], int]:
-    """Estimate by the paper's form (11), ``Y = W(simulated motion) x``; return values and iterations.
+    """Estimate by the paper's form (11); return values and iterations.
 
-    It begins at a regular inertia without friction, and ends where the residual changes by at most 2.5 %, or after ten
-    iterations. Where the axis rests it is biased: friction at rest is not that of (11).
+    ``Y = W(simulated motion) x`` begins at a regular inertia without friction, and ends where the residual changes by
+    at most 2.5 %, or after ten iterations. Where the axis rests it is biased: friction at rest is not that of (11).
     """
     problem = torque_problem(record, loop, filtering, loop.joint.parameters).keeping(_AT_REST)
     x, names = problem.vector(regular_start(problem)), tuple(p.name for p in problem.free)

@@ -264,7 +264,7 @@ def _leave_out(tables: Tables, keys: Collection[str], place: str = "") -> Tables
 
 
 def name_fields(words: str, shown: Mapping[str, Field]) -> str:
-    """Replace keys in a sentence, as `[table] key = value`, by labels of fields, or refer to the further lines."""
+    """Replace keys in a sentence by labels of fields, or further lines."""
     labels = {name: one.label for key, one in reversed([*shown.items()]) for name in (key.rpartition(".")[2], key)}
 
     def show(found: re.Match[str]) -> str:

@@ -522,7 +522,7 @@ class Simulated:
         return self.weigh(self.error(self.run(x, keep=False)))
 
     def rows(self, log: Log, x: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
-        """Unweighted error along a log, (rows,), its derivatives, (rows, free), 0 if simulation fails, and the run."""
+        """Unweighted error along a log, its derivatives, and the run."""
         run: Any = log.run(self.numbers(x), room=_ROOM)
         error = _filter_error(log, run)
         if run.outcome is not Outcome.FINISHED:

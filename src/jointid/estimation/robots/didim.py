@@ -270,7 +270,7 @@ class _Search:
         return min(ends, key=lambda end: float(np.linalg.norm(end[0].relative_error)))
 
     def find_rigid(self, under: Any, through: Filtering | None, turns: int = 4) -> RobotFit:
-        """Return the fit of rigid joints, with `turns` of their weights at most.
+        """Return the fit of rigid joints, reweighted `turns` times at most.
 
         Raises:
             MethodError: the robot cannot be simulated there, or the records do not determine its parameters.
