@@ -113,10 +113,10 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("payload", joint, *records[2:], "--json", found)  # the file's own record is without
     alone = json.loads(found.read_text(encoding="utf-8"))["rows"]["mass"]
     assert (alone["value"], alone["std"]) == pytest.approx((mass["value"], mass["std"]), rel=1e-3)
-    kept = folder / "kept.toml"
-    kept.write_text(joint.read_text(encoding="utf-8") + "parameters.viscous.value = 3.0\n", encoding="utf-8")
-    with pytest.raises(ji.MethodError):
-        run("payload", kept, *records)
+    (kept := folder / "kept.toml").write_text(joint.read_text("utf-8") + "parameters.viscous.value = 3.0\n", "utf-8")
+    for file, *more in ((kept,), (joint, "--axis", "joint1"), (joint, "--record", folder / "one.csv")):
+        with pytest.raises(ji.MethodError):
+            run("payload", file, *records, *more)
 
 
 @pytest.mark.parametrize(

@@ -134,15 +134,14 @@ def payload(
     from jointid.estimation.robots.bodies import identify_payload
 
     spare((options.json,), without, with_)
+    if options.axis or (options.records and without):
+        raise MethodError("A payload is of the whole robot, from one record without it; leave out --axis, or --record.")
     options = options if without is None else replace(options, records=(without,))
     file = options.load(robot)
     if file.robot is None:
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
     if file.parameters:
-        raise MethodError(
-            f"joints.parameters keeps {', '.join(file.parameters)}, and a payload is identified with all parameters "
-            "free; leave joints.parameters out."
-        )
+        raise MethodError(f"joints.parameters keeps {', '.join(file.parameters)}; leave it out: a payload frees all.")
     found = identify_payload(
         file.setup, options.identify(file, checks=False)[1], file.record(with_), file.method, filtering=file.filtering,
         progress=options.progress,
