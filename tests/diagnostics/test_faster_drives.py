@@ -142,7 +142,7 @@ def test_a_mean_a_lag_and_a_dead_time_are_named_with_their_time(late: dict[str, 
 
 def test_a_lag_of_more_than_4_ms_is_no_current_loop() -> None:
     record, loop, _ = _late(torque_filters=(FirstOrder(8e-3),))
-    laws = _list_late(*rebuild_problem(identify(record, loop), record))
+    laws = _list_late(*rebuild_problem(identify(record, loop), record), 4e-3)
     assert laws and not any("torque_filters" in law.remedy for law, _ in laws)
 
 
