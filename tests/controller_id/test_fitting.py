@@ -8,9 +8,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import jointid as ji
-from jointid.common.arrays import FloatArray
 from jointid.controller_id.fitting import Fitter, order_rates
-from jointid.controller_id.loop_record import LoopRecord, prepare_loop_record
+from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import band_means, band_power, band_widths, position_error, position_response
 from jointid.controller_id.structures import Structure, canonical, controller, list_frames, list_laws
 from jointid.models.controllers import PD, POSITION, Cascade, FirstOrder, run
@@ -19,7 +18,7 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Timing
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from studies.learned import LoopTwin, loop_twin
+from studies.learned import loop_twin
 from tests.learned_once import run_law
 
 T = 1e-3
@@ -166,17 +165,12 @@ def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None
 SEEDS = (57, 134, 140, 160, 180, 500, 506, 512)
 
 
-def against_the_truth(twin: LoopTwin) -> tuple[LoopRecord, FloatArray]:
-    """The record, and how much louder each band of the torque is than what the true law leaves of it."""
-    log = prepare_loop_record(twin.record)
-    left = (log.torque - run_law(log, twin.structure, twin.numbers)) * log.kept
-    return log, band_power(log.torque) / band_power(left)
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_without_a_law_as_much_is_heard_as_with_the_true_one(seed: int) -> None:
     """Position loops every 2 to 8 periods, a notch, feed-forwards: no law is named to what listens."""
-    log, louder = against_the_truth(loop_twin(seed))
+    twin = loop_twin(seed)
+    log = prepare_loop_record(twin.record)
+    louder = band_power(log.torque) / band_power((log.torque - run_law(log, twin.structure, twin.numbers)) * log.kept)
     informative, wide, error = band_means(log.informative), band_widths(log.informative.size), log.error
     clear = (louder > 8.0) & (error.power > 8.0 * error.variance * band_means(error.shape**2))
     assert wide[clear] @ informative[clear] > 0.9 * np.sum(wide[clear])

@@ -12,7 +12,7 @@ from jointid.common.errors import FaultsError, JointidError, MethodError, Record
 from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.analysis import rebuild_problem
-from jointid.diagnostics.changes import CHANGES
+from jointid.diagnostics.changes import _IS_ABOUT, CHANGES, _say_factor, _say_number
 from jointid.diagnostics.explain import Case, Cause, explain_failure, find_causes, is_small, list_cases
 from jointid.diagnostics.model_free import find_plain_cause, find_unexplained_share
 from jointid.diagnostics.score import SolvedLoop
@@ -240,6 +240,21 @@ def run_spring(seconds: float, **undeclared: Any) -> ji.Record:
     reference = trapezoids((2.0, 3.0), 25.0, 0.8, 1e-3, duration=seconds)
     noise = np.random.default_rng(1).normal(0.0, 0.6, len(reference))
     return simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise).without("motor_position")
+
+
+def test_another_gear_is_said_with_its_ratio_and_an_integral_gain_with_its_time() -> None:
+    record = ji.Record(torque=ji.Channel(np.zeros(2), "N m", 1e-3))
+    turns, slides = ji.Transmission(load="revolute", ratio=5.0), ji.Transmission(load="prismatic", lead=0.1)
+    for gear, first, size in (
+        (None, "reference_scale", "10:1"),
+        (turns, "law_gain", "50:1"),
+        (slides, "law_gain", "10 mm"),
+    ):
+        joint = FlexibleJoint("revolute" if gear is None else gear.load, transmission=gear)
+        case = Case(record, ClosedLoop(joint, LAW), ji.Filtering())
+        said = {one.name: one.words for one in _say_factor(False, 10.0, case)}
+        assert next(iter(said)) == first and said["reference_scale"].endswith(size)
+    assert "(Tn 30.0 ms)" in next(iter(_say_number("integral_gain", _IS_ABOUT, 1e3 / 30, case))).words
 
 
 LAG, NOTCH = ("torque_filter", 1.5e-3, FirstOrder(1.5e-3)), ("notch", 60.0, Notch(60.0, 84.0, 0.15))

@@ -196,16 +196,11 @@ def slow_columns(rows: int) -> np.ndarray:
     return np.column_stack([np.ones(rows), np.sign(np.sin(2.3 * turn)), np.cos(2.3 * turn), np.sin(0.7 * turn)])
 
 
-def slow_noise(random: np.random.Generator, rows: int) -> np.ndarray:
-    """Return noise that is correlated over a fiftieth of the record."""
-    return np.asarray(lfilter([1.0], [1.0, -0.9], random.standard_normal(rows + 200))[200:])
-
-
 def test_an_offset_under_slow_noise_is_held() -> None:
     random, W = np.random.default_rng(11), slow_columns(ROWS)
     inverse, inside = np.linalg.pinv(W), {"by_spectrum": np.zeros(4), "stationary": np.zeros(4)}
     for _ in range(RUNS):
-        error = slow_noise(random, ROWS)
+        error = lfilter([1.0], [1.0, -0.9], random.standard_normal(ROWS + 200))[200:]  # over a fiftieth of the record
         x = inverse @ error
         for of in inside:
             inside[of] += np.abs(x) <= 2 * getattr(Influence(W, error - W @ x), of)().std

@@ -95,6 +95,7 @@ def resting() -> None:
         (lambda: ji.design(LOOP, RECORD, values={}, noise=0.2), ji.MethodError),  # type: ignore[arg-type]
         *((partial(*call, LOOP), ji.MethodError) for call in product(VERBS, ("x.csv", {}, [LOOP], None))),
         (lambda: ji.learn_controller([RECORD]), ji.MethodError),  # type: ignore[arg-type]
+        (lambda: ji.identify(RECORD, "joint.toml"), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.design(LOOP, RECORD, motion="log.csv"), ji.MethodError),  # type: ignore[arg-type]
         (lambda: ji.diagnose(torque=[1.0], model=LOOP), ji.MethodError),  # type: ignore[call-arg]
         (lambda: ji.Record(torque=[1.0]), ji.RecordError),  # type: ignore[arg-type]

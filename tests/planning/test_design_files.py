@@ -124,14 +124,6 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     assert 10.0 * peak == pytest.approx(both.axes[0].reached["torque"], rel=0.05), "A of the motor"
 
 
-def read_trajectory(text: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions of a JointTrajectory, and their times."""
-    lines = text.splitlines()
-    rows = np.array([json.loads(one.removeprefix("- positions: ")) for one in lines if one.startswith("- positions")])
-    ends = [re.findall(r"\d+", one) for one in lines if "time_from_start" in one]
-    return rows, np.array([int(seconds) + 1e-9 * int(rest) for seconds, rest in ends])
-
-
 def test_a_motion_is_written_as_robots_play_it() -> None:
     """As the joints move, not the shafts: the wrist is coupled."""
     twin, period = six(), 2e-3
@@ -140,8 +132,10 @@ def test_a_motion_is_written_as_robots_play_it() -> None:
     q = twin.home + 0.3 * np.sin(np.outer(period * np.arange(1000), np.arange(1, 7)))
     driven = [ji.Record(reference=ji.Channel(one, "rad", period)) for one in (q @ robot.coupling.T).T.copy()]
     found = ji.design(robot, limits=[ji.AxisLimits()] * 6, noise=[0.1] * 6, motion=driven)
-    text = found.files()["trajectory.yaml"].decode()
-    assert json.loads(text.splitlines()[0].removeprefix("joint_names: ")) == list(robot.names)
-    rows, at = read_trajectory(text)
+    lines = found.files()["trajectory.yaml"].decode().splitlines()
+    assert json.loads(lines[0].removeprefix("joint_names: ")) == list(robot.names)
+    rows = np.array([json.loads(one.removeprefix("- positions: ")) for one in lines if one.startswith("- positions")])
+    ends = [re.findall(r"\d+", one) for one in lines if "time_from_start" in one]
+    at = np.array([int(seconds) + 1e-9 * int(rest) for seconds, rest in ends])
     np.testing.assert_allclose(rows, twin.home + 0.3 * np.sin(np.outer(at, np.arange(1, 7))), atol=1e-3)
     assert at[-1] == pytest.approx(1.998) and 50 < len(at) < 1000

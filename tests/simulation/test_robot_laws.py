@@ -90,17 +90,12 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < (1e-6 if not joint.straight else 1e-9)
 
 
-def own_places(numbers: Numbers) -> list[Place]:
-    """Return the places of all numbers that the laws of a robot of one joint have."""
-    return [Place(0, "Izz"), *(Place(0, name) for name in numbers.values[0] if name != "load_offset")]
-
-
 @JOINTS
 def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None:
     """Of order 2 in the pieces of the tape: by every number of every law."""
     record, robot = reference(), robot_of(joint)
     driven, numbers = prepare(RobotLoop(robot, (LAW,)), (record,)), Numbers.of(robot)
-    places = own_places(numbers)
+    places = [Place(0, "Izz"), *(Place(0, name) for name in numbers.values[0] if name != "load_offset")]
     found = differentiate(run_loop(driven, numbers, keep=True, steps=4), places)[0][0]
     for column, place in enumerate(places):
         value = numbers[place]

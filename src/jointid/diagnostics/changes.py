@@ -43,6 +43,7 @@ _SCALES = tuple(10 ** (k / 2) for k in range(-8, 9))  # of the torque, beside an
 _UNITS = {"in degrees, not rad": _DEGREES, "in mm, not m": 1e3}  # of a reference, read without a factor
 _NEAR = 0.08  # logarithm: a factor is taken for another one that is so near
 _ROUGHLY = 0.3  # logarithm: unmodelled dynamics move a factor by so much; 75 is then 57.3, of an angle in degrees
+_GEARED = 3.0  # times too small: a reference of a load whose gear is not declared
 _SMALL = math.log(1.5)  # a factor that is nearer to 1 is left to its test, which gives an interval
 HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
 _NO_TIME = 1e-6  # s: no drive keeps so short a time
@@ -288,10 +289,12 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
     if constant != 1.0 and _is(factor, constant):
         said = f"the torque constant ({constant:g}) is applied twice, or not at all"
         torque.insert(0, Cause("torque_constant", said, factor))
-    geared = " (as by a gear that is not declared)" if gear is None else " (as by another gear)"
-    reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}{geared}'}", 1 / factor)]
+    lead = getattr(gear, "lead", None)
+    geared = f"a lead of {number(1e3 * lead / factor, 2)} mm" if lead else f"a gear of {number(ratio * factor, 2)}:1"
+    said = unit or f"{times} too {other}, as by {geared}"
+    reference = [Cause("reference_scale", f"the reference is {said}", 1 / factor)]
     law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
-    for causes in (reference, torque, law) if unit else (law, torque, reference):
+    for causes in (reference, torque, law) if unit or (gear is None and factor > _GEARED) else (law, torque, reference):
         if case.record.injected is None or (causes is torque) is of_torque:
             yield from causes
 
@@ -309,7 +312,8 @@ def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iter
             return f"{number(1e3 * value, 2) if abs(value) >= _NO_TIME else 0} ms"
         joint = case.loop.joint
         unit = unit_of_number(case.controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
-        return f"{number(value, 3) if value else 0} {unit}".rstrip()
+        time = f" (Tn {number(1e3 / value, 3)} ms)" if name == "integral_gain" and unit == "1/s" and value else ""
+        return f"{number(value, 3) if value else 0} {unit}".rstrip() + time
 
     declared = case.numbers.get(name, 0.0)
     if name == "position_gain" and value and declared / value > 1.0 and _is(declared / value, _MINUTE):
@@ -343,9 +347,9 @@ CHANGES = (
     ),
     _row(
         "torque_filter", partial(_try_filter, "torque_filter"),
-        "there is one more torque filter, such as one of first order with {shown}",
+        "there is one more torque filter, such as one of first order with {shown}: declare it in torque_filters",
     ),
-    _row("notch", partial(_try_filter, "notch"), "the torque passes a notch near {shown} Hz"),
+    _row("notch", partial(_try_filter, "notch"), "the torque passes a notch near {shown} Hz: see torque_filters"),
     _row(
         "velocity_feedforward", _try_feedforward,
         "the velocity feed-forward is there and not declared, or the other way round",
@@ -442,9 +446,9 @@ def list_variants(law: Any, record: Record, log: float, period: float) -> Iterat
 def change_time(law: Any, fault: Fault, time: float) -> OtherLaw:
     """Return a law with another time of its reference or its torque, s."""
     key, said = _TIMED[fault]
-    shown = f'[{{ kind = "first_order", time_constant = {time:.4g} }}]' if fault is TORQUE_FILTER else f"{time:.5g}"
+    begin, end = ('[{ kind = "first_order", time_constant = ', " }]") if fault is TORQUE_FILTER else ("", "")
     changed = replace(law, **{key: (FirstOrder(time),) if fault is TORQUE_FILTER else time})
-    return OtherLaw(fault, said.format(number(1e3 * time, 3)), f"{key} = {shown}", changed)
+    return OtherLaw(fault, said.format(number(1e3 * time, 3)), f'{key} = {begin}"{1e3 * time:.4g} ms"{end}', changed)
 
 
 def list_feedback_laws(controller: Any, period: float) -> Iterator[OtherLaw]:

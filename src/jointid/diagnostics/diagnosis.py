@@ -113,8 +113,7 @@ class AxisDiagnosis:
         """Faults of the axis with remedies, preceded by its name."""
         found, begin = self.faults.reasons, f"{self.name}: " if self.name else ""
         if self.faults.as_declared:
-            said = f"the model leaves {100 * self.left:.3g} % of the {self.signal}, and that is no white noise. "
-            said += "None of the faults explains it: check geometry, gears and couplings of the model"
+            said = "the model leaves more than noise, which no fault explains: check its geometry, gears and couplings"
             found = () if self.caused or self.explained else (Message(Reason.RESIDUAL_FOLLOWS_MOTION, said),)
         of = {"axes": [self.name]} if self.name else {}
         return tuple(Message(one.code, begin + one.words, {**one.values, **of}, begin + one.brief) for one in found)
@@ -183,9 +182,11 @@ class Diagnosis(Documented):
         """Faults of all axes, each with its remedy."""
         then = "Correct this first, and identify again: single joints are judged only then"
         found = [] if self.cause is None else [f"{self.cause.words}. {then}"]
-        found += [one.words for one in self._wrong_laws]
-        said = [(axis.name, one.words) for axis in self.axes for one in axis.reasons]
-        return *map(sentence, found), *(f"{words}." if name else sentence(words) for name, words in said)
+        found = [*map(sentence, (*found, *(one.words for one in self._wrong_laws)))]
+        said = dict[str, list[str]]()  # what several joints have in common is one sentence
+        for name, words in ((axis.name, one.words) for axis in self.axes for one in axis.reasons):
+            said.setdefault(words.removeprefix(f"{name}: "), []).append(name)
+        return *found, *(f"{join(of)}: {words}." if of[0] else sentence(words) for words, of in said.items())
 
     @property
     def sentence(self) -> str:
@@ -197,13 +198,13 @@ class Diagnosis(Documented):
         return self.sentences[0] if self.sentences else f"Nothing is wrong with {self.name}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Symptoms, a table of the axes, remedies and comparisons of laws."""
-        del details
+        """Symptoms, a table of the axes, remedies (not in detail), and comparisons of laws."""
+        remedies = () if details else self.sentences
         said = tuple(sentence(str(one)) for one in self.symptoms)
         blocks: list[Block] = [Text("What is wrong", "heading"), Text("\n".join(said), "list")] if said[1:] else []
         blocks += [] if self.transmission is None else [Facts((("transmission", str(self.transmission)),))]
         blocks += [self._table()] if self.axes else []
-        blocks += [Text("What to do", "heading"), Text("\n".join(self.sentences), "list")] if self.sentences else []
+        blocks += [Text("What to do", "heading"), Text("\n".join(remedies), "list")] if remedies else []
         for part in (one.to_document() for one in self.laws):
             blocks += [Text(part.title, "heading"), *part.blocks]
         return Document(self.sentence, tuple(blocks))

@@ -213,11 +213,15 @@ def _changes(case: _Case) -> Iterator[_Change]:
             starts = ((),) if code.endswith("sign") else _FACTORS
             yield _Change(code, (k,), partial(_scale, case, k, position, torque), starts)
         if link.kind == "revolute":
-            yield _Change("zero", (k,), partial(_turn, case, k), _ZEROS)
+            turn = partial(lambda axis, x: case._replace(robot=robot.turn(x[0] * axis)), same[k])
+            yield _Change("zero", (k,), turn, _ZEROS)
         if k:  # the place of the first one moves the base
             yield _Change("geometry", (k,), partial(_lengthen, case, k), ((0.0, 0.0, 0.0),))
-    weighs = "base" if np.any(robot.gravity) else "gravity"
-    yield _Change(weighs, (), partial(_hang, case), [*np.eye(3), *-np.eye(3)])
+    weighs, size = "base" if np.any(robot.gravity) else "gravity", float(np.linalg.norm(robot.gravity)) or _GRAVITY
+    yield _Change(
+        weighs, (), lambda x: case._replace(robot=replace(robot, gravity=size * x / np.linalg.norm(x))),
+        [*np.eye(3), *-np.eye(3)],
+    )  # fmt: skip
     for i, j in itertools.permutations(own, 2):
         # Where joint j moves with motor i, some factor would leave a joint that no motor moves.
         if abs(i - j) == 1 and not robot.joints[i].coupling and abs(follows[j, i]) < _RANK:
@@ -230,19 +234,10 @@ def _scale(case: _Case, k: int, position: int, torque: int, x: FloatArray) -> _C
     return case.logged(*map(np.diag, by))
 
 
-def _turn(case: _Case, k: int, x: FloatArray) -> _Case:
-    return case._replace(robot=case.robot.turn(x[0] * np.eye(len(case.robot))[k]))
-
-
 def _lengthen(case: _Case, k: int, x: FloatArray) -> _Case:
     links = list(case.robot.links)
     links[k] = replace(links[k], origin=links[k].origin + x)
     return case._replace(robot=replace(case.robot, links=tuple(links)))
-
-
-def _hang(case: _Case, x: FloatArray) -> _Case:
-    size = float(np.linalg.norm(case.robot.gravity)) or _GRAVITY
-    return case._replace(robot=replace(case.robot, gravity=size * x / np.linalg.norm(x)))
 
 
 def _couple(case: _Case, motor: int, joint: int, x: FloatArray) -> _Case:

@@ -509,15 +509,15 @@ def _other_spring(laws: Sequence[str], seen: Seen) -> Columns:
 
 VELOCITY_FILTER = Fault("velocity_filter", "velocity filter")
 TORQUE_FILTER = Fault("torque_filter", "torque filter")
-_number = partial(Fault, declared=None)
+_number = partial(Fault, declared=None, remedy="correct its declaration")
 DELAY = _number("delay", "delay of the torque", measure="ms")
 REFERENCE_DELAY = _number("reference_delay", "reference delay", measure="ms")
-LOG_DELAY = _number(
-    "log_delay", "delay of the log behind its time stamps",  # of a loop its derivative is exact
-    lambda seen: [(None, -np.gradient(seen.torque, seen.sample_time))] if seen.loop is None else [], measure="ms",
+LOG_DELAY = _number(  # of a loop its derivative is exact
+    "log_delay", "delay of the log behind its time stamps", measure="ms", remedy="correct the torque's time stamps",
+    columns=lambda seen: [(None, -np.gradient(seen.torque, seen.sample_time))] if seen.loop is None else [],
 )  # fmt: skip
-LOG_GAIN = _number("log_gain", "size of the logged torque")
-OFFSET = Fault("offset", "constant force that is not declared", _push, measure="torque")
+LOG_GAIN = _number("log_gain", "size of the logged torque", remedy="check its unit and the torque constant")
+OFFSET = Fault("offset", "constant force that is not declared", _push, "leave the offset free", measure="torque")
 LIMIT = Fault("limit", "undeclared limit of the controller's output", _limit, one_sided=True, measure="level")
 _position = partial(Fault, mechanical=True, reason=Reason.FORCE_FOLLOWS_POSITION)
 _turns = partial(Fault, tried=1, kin="gravity")
@@ -528,7 +528,7 @@ _load = partial(Fault, mechanical=True, reason=Reason.LOAD_NOT_RIGID)
 
 _ROWS = (
     DELAY, REFERENCE_DELAY, LOG_GAIN, LOG_DELAY, _number("gain", "gain of the controller's output"),
-    Fault("injected_gain", "size of the injected signal", _scale_injected, declared=1.0), OFFSET,
+    Fault("injected_gain", "size of the injected signal", _scale_injected, "check its unit", declared=1.0), OFFSET,
     _turns("eccentric_encoder", "encoder off its centre", partial(_in_turns, "motor"), "centre it", measure="position"),
     _turns("unlogged_gravity", "log without a load's weight", partial(_in_turns, "load"), "log it", measure="torque"),
     Fault("load_encoder", "position loop on the load", _follow_load, "take the motor's", one_sided=True, least=0.5),

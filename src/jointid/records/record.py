@@ -283,8 +283,8 @@ def takes_record(verb: _Verb) -> _Verb:
             wrong += _not_of(takes[name], values[name])
         if wrong:
             raise MethodError(
-                f"{verb.__qualname__} takes a record, as ji.read returns it; received {wrong[0]}: read its file by "
-                "ji.read(path, columns), or give ji.Record(torque=ji.Channel(values, unit, sample_time), ...)."
+                f"{verb.__qualname__} takes a record; received {wrong[0]}: give ji.read(path, columns), a joint file's "
+                "record(), or ji.Record(torque=ji.Channel(values, unit, sample_time), ...)."
             )
         return verb(*args, **given)
 

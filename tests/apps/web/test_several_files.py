@@ -2,11 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from jointid.apps.web.folder import Draft
 from tests.apps.cli.test_robots import HEAD, write_robot
 from tests.apps.web.asking import UNITS, Asker
 from tests.estimation.robots.twin import arm
@@ -61,12 +59,6 @@ def test_a_mistake_in_the_text_is_refused_and_stays_to_be_mended(asker: Asker, l
     assert asker.post("/channels", {**UNITS, "extra": ""})[0] == 200
 
 
-def answers_of(run: Draft, folder: Path) -> tuple[Any, Any]:
-    """Return the answers of the page and of the command in the folder of the run."""
-    assert command("identify", run.path / run.file, "--json", folder / "again.json", "-q", "--again") == 0
-    return run.json("answer.json"), json.loads((folder / "again.json").read_text(encoding="utf-8"))
-
-
 @pytest.mark.slow
 def test_a_robot_is_identified_as_by_the_command(asker: Asker, tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -80,7 +72,8 @@ def test_a_robot_is_identified_as_by_the_command(asker: Asker, tmp_path: Path) -
     asker.post("/joint", {"extra": files["robot.toml"].decode()})
     run = asker.page.runs[0]
     assert asker.ended(run) == "done"
-    page, command = answers_of(run, tmp_path)
-    assert page["parameters"] == command["parameters"]
+    assert command("identify", run.path / run.file, "--json", tmp_path / "again.json", "-q", "--again") == 0
+    page, again = run.json("answer.json"), json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
+    assert page["parameters"] == again["parameters"]
     assert page["answer"]["found"]["words"].partition(" ")[0] in asker.get(f"/runs/{run.path.name}")
     assert {*run.files} == {"robot.toml", "robot.estimate.json", "arm.xml", "one.csv", "report.html", "answer.json"}

@@ -92,7 +92,7 @@ def test_units_are_asked_where_nothing_says_them(asker: Asker) -> None:
     asker.send("a.csv", f"t,force,way [mm]\n{rows}\n".encode())
     columns = {"record.channels.torque.column": "force", "record.channels.reference.column": "way [mm]"}
     page = asker.post("/draft/channels", {"joint.kind": "prismatic", "transmission.ratio": "7,0", **columns})[1]
-    assert "2401 of the load, or 2401 of the motor, which are 343 of the load" in page  # the side is asked for
+    assert "2401 mm of the load, or 2401 mm of the motor: then 343 mm of the load" in page  # the side is asked for
     assert re.findall(r'<select id="record-channels-(torque|reference)-unit"[^>]* required>', page) == ["torque"]
 
 

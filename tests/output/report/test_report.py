@@ -48,6 +48,14 @@ def test_every_section_is_there(kind: str) -> None:
     assert not re.search(r"\b(nan|None)\b", text) and re.search(r"(6 s at 1000 Hz, 2 rad|12 s at .*, 0.2 m) at", text)
 
 
+def test_what_to_do_stands_once_and_before_the_appendix() -> None:
+    given = reports.flexible()
+    (axis,) = given.diagnosis.axes  # type: ignore[union-attr]
+    faulty = replace(given.diagnosis, axes=(replace(axis, faults=replace(axis.faults, explained=0.5)),))  # type: ignore[type-var]
+    text = reports.marked(replace(given, diagnosis=faulty))
+    assert text.partition("## Appendix")[0].count("What to do") == text.count("What to do") == 1
+
+
 def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     joint, record = tmp_path / "joint.toml", tmp_path / "run.csv"
     joint.write_text('controller = { law = "cascade", integral_time = "30 ms" }', encoding="utf-8")

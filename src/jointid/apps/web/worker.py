@@ -49,7 +49,7 @@ def preview() -> None:
     channels = {one: {"column": column} for one, column in propose_columns(found).items() if column}
     clock = {channel.time: {"time": channel.time} for channel in found.channels if channel.time}
     tables: dict[str, Any] = {"record": {"channels": channels} | (clock.popitem()[1] if len(clock) == 1 else {})}
-    names = [channel.name for channel in found.channels]
+    names = {channel.name: channel.unit for channel in found.channels}
     said: dict[str, Any] = {"columns": listed, "names": names, "tables": tables, "sentence": ""}
     if found.recognised is not None:
         place = found.recognised.axes[0].place if len(found.recognised.axes) > 1 else {}

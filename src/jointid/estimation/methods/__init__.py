@@ -154,4 +154,6 @@ def method_of(name: str) -> type[Method]:
 
 def default_method(model: object) -> Method:
     """Return the default method of a model, with its default settings."""
-    return next(one for one in map(method_of, METHODS) if isinstance(model, one.default_for))()
+    if not (fitting := [one for one in map(method_of, METHODS) if isinstance(model, one.default_for)]):
+        raise MethodError(f"A joint, a robot or a loop of one is identified; received {type(model).__name__}.")
+    return fitting[0]()

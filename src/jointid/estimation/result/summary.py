@@ -62,7 +62,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     if axes := [*fit.axis_errors]:
         errors = [
             (f"{name}, %", [f"{100 * of[a]:.3g}" if math.isfinite(of[a]) else "runs away" for a in axes], False)
-            for name, of in (("estimate", fit.axis_errors), ("nominal", fit.nominal_errors))
+            for name, of in (("torque left", fit.axis_errors), ("nominal", fit.nominal_errors))
             if of
         ]
         told = sorted((p for p in rows if p.name.endswith((".coulomb", ".stiffness"))), key=lambda p: p.name)
@@ -101,7 +101,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
     if sums := [p for p in rows if p.formula not in ("", p.symbol) and (details or p.name != p.symbol)]:
         yield Text("Sums that the parameters stand for", "heading")
-        yield Text("\n".join(f"{p.name} is {p.formula}" for p in sums), "list")
+        yield Text("\n".join(f"{p.name}: {p.formula}" for p in sums), "list")
 
 
 def _table(caption: str, *columns: Column) -> Table:

@@ -229,21 +229,19 @@ def _check_numbers(estimate: Estimate) -> Iterator[Check]:
 def _check_bounds(estimate: Estimate) -> Check:
     """Check for parameters at a bound, and axes with driving friction."""
     rows = {row.name: row for row in estimate.rows if row.value is not None}
-    driving = []
+    driving = dict[str, None]()
     for axis in dict.fromkeys(row.axis for row in estimate.rows if row.axis):
         for sums in _DRIVING:
             names = [name for name in (f"{axis}.{part}" for part in sums) if name in rows]
             spread = estimate.covariance_of(names).std_of(np.ones(len(names))) if names else 0.0
             if sum(rows[name].value or 0.0 for name in names) < -INTERVAL * spread:
-                driving.append(axis)
+                driving[axis] = None
     if driving:
-        axes = [*dict.fromkeys(driving)]
-        said = f"the friction of {join(axes)} is negative: check the signs of torque, motor position and gear"
-        return check_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": axes})
+        said = f"the friction of {join([*driving])} is negative: check the signs of torque, motor position and gear"
+        return check_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": [*driving]})
     touched = [row.name for row in estimate.rows if row.at_bound is not None]
-    said = f"{join(touched or ['no parameter'])} at a bound, where the record is not followed"
-    values = {"parameters": touched} if touched else None
-    return check_of(Subject.BOUNDS, not touched, Reason.AT_BOUND, said, values)
+    said = f"{join([*map(in_words, touched)] or ['no parameter'])} at a bound"
+    return check_of(Subject.BOUNDS, not touched, Reason.AT_BOUND, said, {"parameters": touched} if touched else None)
 
 
 def residual_checks(white: Whiteness | None, repeats: Repeatable) -> tuple[Check, Check]:
@@ -349,8 +347,8 @@ def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
             (least, hertz, _), code = min(bounds), "lower_bound"
             words += f": at least {number(float(f'{least:.2e}'), 3)} {asked.unit}, mode above {number(hertz, 2)} Hz"
         if least is not None and len(bounds) < len(stated):
-            shares = [share for _, _, share in bounds]
-            words += f", for a load of {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the inertia"
+            shares = dict.fromkeys(f"{100 * share:.0f}" for _, _, share in (bounds[0], bounds[-1]))
+            words += f", for a load of {' to '.join(shares)} % of the inertia"
     elif mode is not None:
         words += f", mode {number(mode, 3)} Hz"
     two_sigma = None if asked.deviation is None else INTERVAL * asked.deviation

@@ -136,7 +136,7 @@ _TONES: Mapping[Trust, Style] = {Trust.RELIABLE: "good", Trust.PARTLY: "good", T
 _PICTURES = {
     "torque": (
         "",
-        "Measured and predicted torque, and their difference below. The motion is {motion}. Lines break where nothing "
+        "Measured and predicted torque, and their difference. The motion is {motion}. Lines break where nothing "
         "is compared.",
     ),
     "residual": (
@@ -173,6 +173,8 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     estimate, tuned = given.estimate, given.tuned
     yield Text("Result", "heading")
     yield from _result(given)
+    if given.diagnosis is not None and given.diagnosis.sentences:
+        yield from (Text("What to do", "heading"), Text("\n".join(given.diagnosis.sentences), "list"))
     torque = Text("Torque", "heading"), _picture(given, figures, "torque")
     yield from torque if estimate.robot is not None else ()  # whose joints are seen first
     yield Text("Parameters", "heading")
@@ -185,13 +187,12 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     for check in given.checks:
         yield Text(f"Prediction of {check.record}", "heading")
         yield from _part(check)
-    yield Text("Appendix", "heading")
-    yield Text("The estimate in full", "heading")
+    yield from (Text("Appendix", "heading"), Text("The estimate in full", "heading"))
     yield from _part(estimate, details=True)
     for part, title in ((given.diagnosis, "Tested faults"), (given.validation, "Validation"), (tuned, "Loop")):
         if part is not None:
             yield Text(title, "heading")
-            yield from _part(part)
+            yield from _part(part, details=part is given.diagnosis)
     for name in [name for name in _PICTURES if name in figures and name != "torque"]:
         yield Text(_PICTURES[name][0], "heading")
         yield _picture(given, figures, name)
@@ -246,9 +247,8 @@ def _result(given: Report) -> Iterator[Block]:
     """Yield the answer, its checks and the drawing of a joint."""
     estimate = given.estimate
     yield Text(str(estimate.answer), style=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
-    yield from (Text(check.sentence) for check in given.checks)
-    if not given.checks:
-        yield Text("Whether it predicts another motion is not known yet: --held-out RECORD tests it.")
+    untested = "Whether it predicts another motion is not known yet: --held-out RECORD tests it."
+    yield from map(Text, [check.sentence for check in given.checks] or [untested])
     if estimate.robot is None:
         if resonances := resonance_sentence(estimate):
             yield Text(resonances)
@@ -276,9 +276,9 @@ def _settings(given: Report) -> Iterator[Block]:
         ("Delay of the torque", f"{1e3 * estimate.settings.delay:.4g} ms"),
         *(("Torque, SHA-256 of its samples", one) for one in estimate.data.fingerprints if one),
     )
-    names = ("jointid", "Record", "Its date", "Its SHA-256")
-    again = (repetition.version, repetition.record_file, repetition.record_date, repetition.record_file_sha256)
-    yield Facts((*facts, *((name, value) for name, value in zip(names, again, strict=True) if value)))
+    known = {"jointid": repetition.version, "Record": repetition.record_file, "Its date": repetition.record_date}
+    known["Its SHA-256"] = repetition.record_file_sha256
+    yield Facts((*facts, *((name, value) for name, value in known.items() if value)))
     if given.channels:
         yield _channels_table(estimate, given)
     if repetition.command:
