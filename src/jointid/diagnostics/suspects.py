@@ -553,7 +553,7 @@ _ROWS = (
     _position("uneven_friction", "friction that differs along the travel", _along_travel, measure="torque"),
     _friction(
         "winding_friction", "friction that winds up behind each reversal", _winds_up,
-        'declare friction = "presliding"', one_sided=True, kin="low-speed friction",
+        'declare friction = "presliding", or "stribeck" if smooth (tanh)', one_sided=True, kin="low-speed friction",
     ),
     _friction(
         "load_dependent_friction", "friction that grows with the load's torque", _under_load,
