@@ -230,9 +230,9 @@ def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypat
 def test_a_window_that_fails_near_its_end_turns_the_search_away(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its torque is finite until there, and was as good as any."""
     part, simulated = cut(rigid(20.0), 0, 6000), LoopLog.run
-    like = begin_window(torque_problem(part, LOOP, Filtering(), LOOP.joint.parameters), part)
+    like = begin_window(torque_problem(part, LOOP, Filtering(), LOOP.joint.parameters), LOOP, [part])
     x, places = like.vector(TRUTH), lambda q, _: np.zeros(q.size, dtype=np.intp)
-    windows = WindowsOfLog(like, InMemory(part), places, 2000, 500, lambda _: None)
+    windows = WindowsOfLog(like, LOOP, (InMemory(part),), [places], 2000, 500, lambda _: None)
     before = windows.pass_over(x)
     monkeypatch.setattr(LoopLog, "run", lambda *log, **kept: replace(simulated(*log, **kept), outcome=Outcome.DIVERGED))
     after = replace(windows, passes={}).pass_over(x)

@@ -132,7 +132,7 @@ def identify(
         said = f"the record is long, and is identified in windows of {streamed:.3g} s, of which one is checked"
         progress(said)
         fit, checked = fit.warn(said), fit.window or fit
-    if fit.robot is None and (not checked.records or checked.problem is None):
+    if not checked.records or (fit.robot is None and checked.problem is None):
         broken = find_broken_part(checked.records[0]) if len(checked.records) == 1 else None
         return assemble(fit if broken is None else fit.warn(broken.words))
     if not checks:

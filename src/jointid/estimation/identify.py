@@ -26,14 +26,14 @@ from jointid.estimation.result.verdict import Reason, Subject, check_of, scale_c
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings, range_faults, scale_faults
-from jointid.records.chunks import InMemory, LongRecord, cut
+from jointid.records.chunks import LongRecord, cut
 from jointid.records.record import CHANNELS, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.controller_torque import compute_controller_torque
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 
 LARGEST = 600_000
-"""Samples of a joint's record that are identified at once, in about 1 GiB; a longer one goes in windows."""
+"""Samples of all joints' records that are identified at once, in about 1 GiB for a joint; longer ones go in windows."""
 
 WINDOW = 60_000
 """Samples of a window of such a record, of which one is checked."""
@@ -42,37 +42,49 @@ _LONGEST = 60.0  # s of a window, unless it is given
 _CONSTANT = ("offset", "gravity_constant", "coulomb_forwards", "coulomb_backwards")  # includes a constant torque
 
 
-def is_long(record: Record) -> bool:
-    """Test for a record of one clock with more than `LARGEST` samples."""
-    clocks = {(len(channel), round(channel.sample_time, 12)) for _, channel in record.items()}
-    return len(clocks) == 1 and min(clocks)[0] > LARGEST
+def is_long(records: Sequence[Record]) -> bool:
+    """Test for records of one clock with more than `LARGEST` samples."""
+    clocks = {(len(channel), round(channel.sample_time, 12)) for one in records for _, channel in one.items()}
+    return len(clocks) == 1 and min(clocks)[0] * len(records) > LARGEST
 
 
 def windows_of(
     record: object, model: object, method: Method | None, several: Mapping[str, Any] | None = None
 ) -> float | None:
-    """Window length of a long record, s; None if inapplicable."""
-    if not isinstance(record, Record) or not is_long(record) or _refuse_windows(record, model, method, several):
+    """Window length of a long record, or of those of a robot, s; None if inapplicable."""
+    log = _one_log(record, model)
+    if not all(isinstance(one, Record) for one in log) or _refuse_windows(log, model, method, several):
         return None
-    sample_time = next(channel.sample_time for _, channel in record.items())
-    return min(_LONGEST, sample_time * WINDOW)
+    return min(_LONGEST, next(channel.sample_time for _, channel in log[0].items()) * WINDOW) if is_long(log) else None
+
+
+def _one_log(record: Any, model: object) -> list[Any]:
+    """Records of one log, a joint's alone or those of a robot's joints; none for several logs."""
+    each = record if hasattr(model, "robot") and isinstance(record, list | tuple) else [record]
+    return [] if any(isinstance(one, Sequence) for one in each) else list(each)
 
 
 def part_of(record: Record) -> Record:
     """The record, or the window of a long one with most motion."""
-    if not is_long(record):
+    if not is_long([record]):
         return record
     samples = min(len(channel) for _, channel in record.items())
-    return max((cut(record, first, first + WINDOW) for first in range(0, samples - WINDOW + 1, WINDOW)), key=travel)
+    parts = (cut(record, first, first + WINDOW) for first in range(0, samples - WINDOW + 1, WINDOW))
+    return max(parts, key=lambda part: travel([part]))
 
 
-def _refuse_windows(record: object, model: object, method: Method | None, several: object) -> str:
+def _refuse_windows(log: Sequence[object], model: Any, method: Method | None, several: object) -> str:
     """Reason against windows, in a sentence; empty if there is none."""
-    if isinstance(record, Sequence) or several or not isinstance(model, ClosedLoop) or not _simulates_loop(method):
-        return "Windows are of one record of a joint under its loop: give a ClosedLoop and DIDIM, or leave windows out."
-    if "drifting" in (name := model.joint.friction.name):
+    if not log or several or not hasattr(model, "loops") or not _simulates_loop(method):
         return (
-            f'Windows take no {name} friction, which follows the time: declare "symmetric", or cut by start and stop.'
+            "Windows are of one log of a joint or robot under its loop: give its controllers and DIDIM, or leave "
+            "windows out."
+        )
+    joints = [one.model for one in model.robot.joints] if hasattr(model, "robot") else [model.joint]
+    if drifting := next((joint.friction.name for joint in joints if "drifting" in joint.friction.name), ""):
+        return (
+            f'Windows take no {drifting} friction, which follows the time: declare "symmetric", or cut by start and '
+            "stop."
         )
     return ""
 
@@ -97,27 +109,27 @@ def fit(
     if fault := Setting("", above=0.0, type=float, optional=True).fault(windows):
         raise MethodError(f"windows, in seconds,{fault}")
     filtering, known, listed = filtering or Filtering(), parameters or {}, isinstance(record, list | tuple)
-    streamed = not listed and not isinstance(record, Record)
-    if (streamed or windows is not None) and (said := _refuse_windows(record, model, method, several)):
+    log = _one_log(record, model)
+    streamed = not all(isinstance(one, Record) for one in log)
+    windows = windows or (_LONGEST if streamed else None)
+    if windows is not None and (said := _refuse_windows(log, model, method, several)):
         raise MethodError(said)
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
         if not listed or several:
             raise MethodError("A robot is identified from its joints' records; give these without `several`.")
-        return _fit_robot(record, model, method or default_method(model), filtering, known, progress)
+        return _fit_robot(record, model, method or default_method(model), filtering, known, windows, progress)
     if listed:
         return _fit_records(record, model, method, filtering, known, several or {}, progress)
     if several is not None or isinstance(model, Sequence):
         raise MethodError("Several loops, and `several`, are of a list of records; received one: give all.")
-    read: list[Any] = [] if streamed else [record]
-    method = method or default_method(model)
+    read, method = [] if streamed else log, method or default_method(model)
     if isinstance(model, ClosedLoop) and _simulates_loop(method):
         read = torques_of(read, [model] * len(read), method.outputs)
-    if streamed or windows is not None:
-        log: Any = record if streamed else InMemory(read[0])
-        alone = partial(identify_record, method=method, filtering=filtering, progress=progress)
-        found = identify_windows(log, model, known, alone, windows or _LONGEST, progress)
-    else:
-        found = identify_record(read[0], model, method, filtering, known, progress)
+
+    def fit_alone(records: Sequence[Record], _: bool = False) -> Estimate:
+        return identify_record(records[0], model, method, filtering, known, progress)
+
+    found = fit_alone(read) if windows is None else identify_windows(read or log, model, fit_alone, windows, progress)
     return state_scale(state_timing(found, read), read)
 
 
@@ -160,8 +172,9 @@ def _fit_records(
 
 
 def _fit_robot(
-    record: Any, model: Any, method: Method, filtering: Filtering, known: Mapping[str, Parameter], progress: Progress
-) -> Estimate:
+    record: Any, model: Any, method: Method, filtering: Filtering, known: Mapping[str, Parameter],
+    windows: float | None, progress: Progress,
+) -> Estimate:  # fmt: skip
     """Fit a robot to its joints' records, of one log or several.
 
     Raises:
@@ -169,7 +182,7 @@ def _fit_robot(
     """
     robot: Robot = model.robot
     require_friction(robot, known)
-    logs = each_log(record)
+    logs = () if _one_log(record, model) and not isinstance(record[0], Record) else each_log(record)
     _check_robot_records(logs, robot)
     method.require_settings_of("robot")
     if type(model) not in method.robots:
@@ -179,7 +192,17 @@ def _fit_robot(
         )
     if _simulates_loop(method):
         logs = tuple(torques_of(log, model.loops, method.outputs) for log in logs)
-    found, read = method.identify_robot(model, logs, filtering, known, progress), [one for log in logs for one in log]
+
+    def fit_alone(records: Sequence[Record], in_motion: bool) -> Estimate:
+        _check_robot_records([records], robot)
+        moving = replace(model, in_motion=in_motion or model.in_motion)
+        return method.identify_robot(moving, [records], filtering, known, progress)
+
+    read = [one for log in logs for one in log]
+    if windows is None:
+        found = method.identify_robot(model, logs, filtering, known, progress)
+    else:
+        found = identify_windows(read or record, model, fit_alone, windows, progress)
     notes = dict[str, dict[str, None]]()
     for name, one in (pair for log in logs for pair in zip(robot.names, log, strict=False)):
         for note in find_record_warnings(one, one.channels):

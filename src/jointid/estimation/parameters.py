@@ -302,6 +302,12 @@ class Parameters:
         logs = self.logarithmic
         return np.where(logs, np.log(np.where(logs, values, 1.0)), values)[self._searched]
 
+    def without_logarithms(self) -> Parameters:
+        """Return these parameters, each searched by its value."""
+        pairs = zip(self.parameters, self.logarithmic, strict=True)
+        plain = (replace(p, lower=math.exp(p.lower), upper=math.exp(p.upper)) if log else p for p, log in pairs)
+        return replace(self, parameters=tuple(plain), logarithmic=np.zeros_like(self.logarithmic))
+
     def reach(self, values: FloatArray) -> FloatArray:
         """Step limit of each free parameter from these values, (free,)."""
         reach = np.where(self.logarithmic, math.log(3.0), np.inf)

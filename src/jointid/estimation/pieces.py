@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any, NamedTuple, TypeAlias
@@ -39,23 +39,23 @@ from jointid.common.messages import Detail, Progress, follow
 from jointid.common.parameters import Bounds, Parameter, Quantity, find_active_bounds
 from jointid.common.text import join
 from jointid.estimation.parameters import adjust_parameters, of_law
-from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position
+from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, beginning_position, loop_log
 from jointid.estimation.result.agreement import Alone, Window, compare_records, drift
 from jointid.estimation.result.estimate import (
     Estimate,
+    EstimatedParameter,
     Windows,
     build_estimate,
     build_rows,
-    rows_of_problem,
     warn_of_limit,
 )
+from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.records.chunks import LongRecord
-from jointid.records.record import Record
+from jointid.models.robots.robot import RobotLoop
+from jointid.records.chunks import Chunk, InMemory, LongRecord
+from jointid.records.record import Channel, Record
 from jointid.records.resampling import period_ratio
-from jointid.simulation.controller_torque import seen_position
-from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, Solution, damped_step, solve
@@ -65,6 +65,9 @@ from jointid.uncertainty.position_dependent_error import RESTING, cells, uncerta
 
 FitRecord: TypeAlias = Callable[..., Estimate]
 """From a record, its loop and ``parameters``, which are changes to those, to the estimate of the record by itself."""
+
+FitWindow: TypeAlias = Callable[[Sequence[Record], bool], Estimate]
+"""From the records of a window, one of each joint, and whether it is not the first, to its own estimate."""
 
 # Several records
 
@@ -464,51 +467,50 @@ def places_of(position: FloatArray, velocity: FloatArray) -> Places:
     return label
 
 
-def travel(record: Record) -> float:
-    """Total variation of the reference, or of the injection, in a window."""
-    asked = record.motor_position if record.reference is None else record.reference
-    asked = asked if record.injected is None else record.injected.channel
-    return 0.0 if asked is None else float(np.sum(np.abs(np.diff(asked.values))))
+def travel(records: Sequence[Record]) -> float:
+    """Total variation of the references, or of the injections, in a window."""
+    asked: list[Channel | None] = [record.injected.channel for record in records if record.injected is not None]
+    asked = asked or [record.motor_position if record.reference is None else record.reference for record in records]
+    return float(sum(np.sum(np.abs(np.diff(one.values))) for one in asked if one is not None))
 
 
-def moves(record: Record) -> bool:
+def moves(records: Sequence[Record]) -> bool:
     """Test for a window with motion or injection, and a nonzero torque."""
-    braked = record.torque is not None and not np.any(record.torque.values)
-    return not braked and (travel(record) > 0 or record.injected is not None)
+    braked = all(one.torque is not None and not np.any(one.torque.values) for one in records)
+    return not braked and (travel(records) > 0 or any(one.injected is not None for one in records))
 
 
-def begin_window(like: ClosedLoopProblem, record: Record, disturbed: float = 0.0) -> ClosedLoopProblem:
-    """Problem of a window like another one's, with its own initial state.
+def begin_window(like: Any, loop: ClosedLoop | RobotLoop, records: Sequence[Record], wrong: float = 0.0) -> Any:
+    """Problem of a window like another one's, that begins in the middle of a motion.
 
-    That state may be wrong on purpose, `disturbed` by a share of the window's torque and speed.
+    Its initial state may be wrong on purpose, by a share of the window's torque and speed.
     """
+    log = loop_log(loop, records, "rigid", like.filtering)  # which is resolved, for any model
+    experiment, problem = log.experiment, replace(like, logs=(log,))
+    speeds = wrong * np.std(np.diff(log.poses, axis=0), axis=0) / float(np.sum(experiment.clock.lengths))
+    if log.tree is not None:
+        v, a = np.array([axis.reference_motion for axis in experiment.axes]).T
+        return problem.with_log(experiment=replace(experiment, speeds=v + speeds, accelerations=a.copy()))
+    ((record,), axis) = records, experiment.axis
     assert record.torque is not None
-    experiment = prepare(like.loop, record)
-    measured = record.torque.values[: experiment.clock.samples]
-    counts = record.counts(measured.size, like.sample_time)
-    problem = like.with_log(measured=measured[:, np.newaxis], experiment=experiment, seen=(None,), counts=counts)
-    # What an integral holds is one constant along the log, and no window's own.
-    seen = None if experiment.axis.law.integrates else seen_position(record, like.loop)
+    measured = record.torque.values[: len(log.measured)]
     torque = float(like.filtering.decimate(measured, like.sample_time)[0])  # a single sample has all of the noise
-    inputs, period = experiment.axis.inputs, experiment.axis.law.period
-    velocity = float(inputs[1, REFERENCE] - inputs[0, REFERENCE]) / period
-    torque += disturbed * float(np.std(measured))
-    velocity += disturbed * float(np.std(np.diff(inputs[:, REFERENCE]))) / period
+    velocity = float(axis.inputs[1, REFERENCE] - axis.inputs[0, REFERENCE]) / axis.law.period + float(speeds[0])
+    torque += wrong * float(np.std(measured))
     position = beginning_position(problem, velocity, torque)
-    if seen is not None and record.motor_position is not None:
-        shown = seen.torque(record.motor_position.values)[: experiment.clock.samples]
-        problem = problem.with_log(seen=(seen,), measured=shown[:, np.newaxis])
+    # What an integral holds is one constant along the log, and no window's own.
+    problem = problem.with_log(seen=(None,), measured=measured[:, np.newaxis]) if axis.law.integrates else problem
     return problem.keeping({"initial_position": position, "initial_velocity": velocity, "initial_torque": torque})
 
 
-def settling(like: ClosedLoopProblem, record: Record, x: FloatArray) -> int:
+def settling(like: Simulated, other: Simulated, x: FloatArray) -> int:
     """Return how many samples a window takes to forget how it began.
 
-    A beginning with an error of the window's whole torque and speed, larger than in any window, must affect no later
-    sample of the torque by more than a hundredth, filter included.
+    The other one's beginning has an error of the window's whole torque and speed, larger than in any window. It must
+    affect no later sample of a torque by more than a hundredth, filter included.
     """
-    other = begin_window(like, record, disturbed=1.0)
-    apart = np.abs(like.torque(x) - other.torque(x)) > 0.01 * float(np.std(like.measured))
+    first, second = (one.predict(one.run(x, keep=False)) for one in (like, other))
+    apart = np.any(np.abs(first - second) > 0.01 * np.std(like.log.measured, axis=0), axis=1)
     remembers = int(np.flatnonzero(apart)[-1]) + 1 if apart.any() else 0
     assert like.filtering.cutoff is not None
     return remembers + math.ceil(10.0 / (like.filtering.cutoff * like.sample_time))  # the filter rings
@@ -519,13 +521,13 @@ class Pass:
     """Sums of one pass over the windows.
 
     Attributes:
-        windows: in the order of time. places: over all of them, by the place's number.
+        windows: in the order of time. places: over all of them, by joint and place.
         still: windows without commanded motion, which are left out.
         stopped: why the simulation of a window stopped, in a sentence; empty if none did.
     """
 
     windows: tuple[Window, ...]
-    places: Mapping[int, Sums]
+    places: Mapping[tuple[int, int], Sums]
     still: int
     stopped: str
 
@@ -533,6 +535,13 @@ class Pass:
     def sums(self) -> Sums:
         """Over all windows."""
         return total([w.sums for w in self.windows])
+
+    @property
+    def errors(self) -> FloatArray:
+        """Residual share of each joint's filtered torque, (n,)."""
+        joints = sorted({joint for joint, _ in self.places})
+        each = ([sums for (of, _), sums in self.places.items() if of == joint] for joint in joints)
+        return np.array([total(own).relative_error for own in each])
 
     def shift(self, step: FloatArray) -> Pass:
         """The pass after a small parameter step, to first order."""
@@ -556,21 +565,23 @@ class Pass:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowsOfLog:
-    """Windows of a log against a joint's loop, with fewest equivalent rows.
+    """Windows of a log against a joint's or robot's loop, with fewest equivalent rows.
 
     Attributes:
         like: the problem of the window that the search starts from.
-        log: the long log.
-        places: labels of repeating places.
+        loop: that is simulated.
+        logs: the long log of each joint.
+        places: of each joint, labels of repeating places.
         length: samples that count in a window.
         settling: samples at either end of a window that are simulated and not counted.
         progress: receives the progress of a pass.
         passes: completed passes, by their candidates.
     """
 
-    like: ClosedLoopProblem
-    log: LongRecord
-    places: Places
+    like: Simulated
+    loop: ClosedLoop | RobotLoop
+    logs: tuple[LongRecord, ...]
+    places: Sequence[Places]
     length: int
     settling: int
     progress: Progress
@@ -593,30 +604,33 @@ class WindowsOfLog:
         """
         if (key := x.tobytes()) in self.passes:
             return self.passes[key]
-        windows, places, still, stopped = list[Window](), dict[int, Sums](), 0, ""
-        chunks = self.log.chunks(self.length, 2 * self.settling)
-        for chunk in follow(chunks, self.progress, "passing over the log", math.inf, "windows"):
-            record = chunk.record
-            if not moves(record):
+        windows, places, still, stopped = list[Window](), dict[tuple[int, int], Sums](), 0, ""
+        chunks = chunks_of(self.logs, self.length, 2 * self.settling)
+        for first, records in follow(chunks, self.progress, "passing over the log", math.inf, "windows"):
+            if not moves(records):
                 still += 1
                 continue
             try:
-                problem = begin_window(self.like, record).with_log(ends=2 * (self.settling,))
+                problem = begin_window(self.like, self.loop, records).with_log(ends=2 * (self.settling,))
                 error, J, run = problem.rows(problem.log, x)
             except RecordError:
-                if not (chunk.number and chunk.last):  # a last one may be too short for filters
+                if not (first.number and first.last):  # a last one may be too short for filters
                     raise
                 continue
             if not (at := problem.log.kept).size:
                 continue
             if run.outcome is not Outcome.FINISHED:
-                stopped = f"The window that begins at {record.begin:.0f} s cannot be simulated, {run.outcome.value}"
-            rows, keep = (error, J, problem.filtered_torque), problem.filtering.decimation or 1
-            label = self.places(*(one[at] for one in _commanded(problem)))
-            for place in map(int, np.unique(label)):
-                sums = Sums.of(*(one[label == place] for one in rows))
-                places[place] = places[place] + sums if place in places else sums
-            begin, end = (record.begin + one * problem.sample_time for one in (at[0], at[-1] + keep))
+                begin = f"The window that begins at {first.record.begin:.0f} s"
+                stopped = f"{begin} cannot be simulated, {run.outcome.value}"
+            rows, keep = [problem.weigh(one) for one in (error, J, problem.filtered_torque)], problem.step
+            moved = zip(self.places, *(one[at].T for one in _commanded(problem)), strict=True)
+            labels = [label(*each) for label, *each in moved]
+            for joint, label in enumerate(labels):
+                own = [one[joint * at.size : (joint + 1) * at.size] for one in rows]
+                for place in map(int, np.unique(label)):
+                    sums, of = Sums.of(*(one[label == place] for one in own)), (joint, place)
+                    places[of] = places[of] + sums if of in places else sums
+            begin, end = (first.record.begin + one * problem.sample_time for one in (at[0], at[-1] + keep))
             windows.append(Window(begin, end, Sums.of(*rows), run.at_limit))
         if not windows:
             raise MethodError(NO_MOTION)
@@ -624,45 +638,58 @@ class WindowsOfLog:
         return self.passes[key]
 
 
-def _commanded(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
-    """Return the reference of a window and its velocity, (samples,) each."""
-    axis, clock = problem.axis, problem.log.experiment.clock
-    position = axis.inputs[clock.log_index // clock.lengths.size, REFERENCE]
-    return position, np.gradient(position, problem.sample_time)
+def chunks_of(logs: Sequence[LongRecord], length: int, overlap: int) -> Iterator[tuple[Chunk, list[Record]]]:
+    """Chunks of joints' logs: the first joint's, and all records."""
+    for each in zip(*(log.chunks(length, overlap) for log in logs), strict=True):
+        yield each[0], [chunk.record for chunk in each]
+
+
+def _commanded(problem: Simulated) -> tuple[FloatArray, FloatArray]:
+    """Return the references of a window and their velocities, (samples, n) each."""
+    log = problem.log
+    position = log.poses[log.experiment.clock.log_index // log.experiment.clock.lengths.size]
+    return position, np.gradient(position, problem.sample_time, axis=0)
 
 
 def identify_windows(
-    log: LongRecord,
-    model: ClosedLoop,
-    known: Mapping[str, Parameter],
-    fit: FitRecord,
-    window: float,
-    progress: Progress,
+    records: Sequence[Record | LongRecord], loop: Any, fit: FitWindow, window: float, progress: Progress
 ) -> Estimate:
-    """Estimate a joint from a long log in windows; see `jointid.identify`.
+    """Estimate a joint or a robot from a long log in windows; see `jointid.identify`.
+
+    Args:
+        records: of the joint, or of each joint of the robot, in memory or to be read.
+        loop: that is simulated.
+        fit: of one window.
+        window: its length, s.
+        progress: receives the passes.
 
     Raises:
         RecordError, MethodError: no window by itself identifies the joint, or one cannot be simulated.
     """
-    sample_time = log.sample_time
-    # Whole rows, so that all windows keep the same samples, and whole periods of a controller that is slower than the
-    # log: the law's first is at a window's first sample.
-    period, _ = period_ratio(model.controller.law(sample_time).period, sample_time, "the log")
+    logs = [InMemory(one) if isinstance(one, Record) else one for one in records]
+    sample_time = logs[0].sample_time
+    # Whole rows, so that all windows keep the same samples, and whole periods of controllers that are slower than the
+    # log: the first of a law is at a window's first sample.
+    laws = [one.controller.law(sample_time) for one in loop.loops]
+    period = math.lcm(*(period_ratio(law.period, sample_time, "the log")[0] for law in laws))
 
     def samples(seconds: float, unit: int) -> int:
         return unit * math.ceil(seconds / (sample_time * unit) - 1e-9)
 
-    first = (samples(window, period), 2 * samples(window / 20, period))
-    began = _start(log, first, model, known, fit, progress)
-    (record,), (of_window, x) = began.records, _require_solution(began)
-    like = begin_window(of_window, record)
-    x = like.vector(of_window.values(x))
-    keep, needed = like.filtering.decimation or 1, settling(like, record, x)
+    began, first = _start(logs, (samples(window, period), 2 * samples(window / 20, period)), fit, progress)
+    if began.robot is None:
+        of_window, x = _require_solution(began)
+        like = begin_window(of_window, loop, first)
+        x = like.vector(of_window.values(x))
+    else:
+        like, x = _of_robot(began, began.robot)
+    keep, needed = like.step, settling(like, begin_window(like, loop, first, wrong=1.0), x)
     length, needed = samples(window, math.lcm(keep, period)), keep * -(-needed // keep)
     settled = min(needed, length // (2 * keep) * keep)
     forgets = f"a window forgets how it began in {needed * sample_time:g} s"
     progress(Detail(forgets))
-    problem = WindowsOfLog(like, log, places_of(*_commanded(like)), length, settled, progress)
+    moved = zip(*(one.T for one in _commanded(like)), strict=True)
+    problem = WindowsOfLog(like, loop, tuple(logs), [places_of(*one) for one in moved], length, settled, progress)
     sums = problem.pass_over(x).sums
 
     def watch(norm: float) -> None:
@@ -677,31 +704,34 @@ def identify_windows(
     # What the last step promises is taken without another pass.
     step = damped_step(solution.residual, solution.jacobian, Bounds.of(problem.free).shift_to(x))
     found, x = found.shift(step), x + step
-    covariance, sums, at = found.covariance(), found.sums, like.loop_at(x)
-    left = np.array([math.sqrt(sums.square)])
-    rows = rows_of_problem(like, x, covariance, left, solution.jacobian)
+    covariance, sums, settings, part = found.covariance(), found.sums, began.settings, began.robot
+    settings = replace(settings, variant=f"{settings.variant}, in windows")
+    if part is None:
+        settings = replace(settings, loop=(at := like.loop_at(x)), delay=at.controller.law(sample_time).delay)
+    else:
+        values = like.parameters.values(x)
+        part = replace(part, setup=at_estimate(loop, like.parameters, values), values=values)
+    rows, units = _rows_at(began, like, x, covariance, solution), {row.name: row.unit for row in began.rows}
     made = build_estimate(
-        [record],
-        tuple(row for row in rows if row.of_joint or row.free),
+        first,
+        rows,
         covariance.correlation,
-        (np.zeros(0), np.zeros(0)),
-        sums.relative_error,
+        2 * (np.zeros((0, len(logs))),),
+        found.errors,
         sums.rows,
         (solution.message, solution.status.converged),
         began.fit.simulations + len(problem.passes) * len(found.windows),
-        replace(
-            began.settings, variant=f"{began.settings.variant}, in windows", loop=at,
-            delay=at.controller.law(sample_time).delay,
-        ),
+        settings,
         began.data.channels,
-        known=identifiability(problem.free, like.units, x, solution.jacobian, covariance),
-        agreement=drift(found.windows, x, problem.free, like.units),
+        robot=part,
+        known=began.known and identifiability(problem.free, units, x, solution.jacobian, covariance),
+        agreement=drift(found.windows, x, problem.free, units),
         window=began,
         warnings=(
             *([f"{forgets}; give longer windows"] if needed > settled else []),
             *warn_of_limit(float(np.mean([w.at_limit for w in found.windows]))),
         ),
-    )  # fmt: skip
+    )
     span = Windows(
         length=length * sample_time,
         settling=settled * sample_time,
@@ -712,35 +742,58 @@ def identify_windows(
     return replace(
         made,
         fit=replace(made.fit, passes=len(problem.passes)),
-        data=replace(made.data, record=log.name, fingerprints=(), resampled=None, windows=span),
+        data=replace(made.data, record=join([log.name for log in logs]), fingerprints=(), resampled=None, windows=span),
+        records=(),
     )
 
 
+def _of_robot(began: Estimate, part: IdentifiedRobot) -> tuple[Simulated, FloatArray]:
+    """Problem of a window of a robot, weighted by its errors, and its solution, (free,)."""
+    assert began.solved is not None
+    problem = replace(began.solved.problem, parameters=began.solved.parameters.without_logarithms())
+    x = problem.parameters.to_search_variables(part.values)
+    return problem.reweight(problem.error(began.solved.runs), x.size), x
+
+
+def _rows_at(
+    began: Estimate, like: Simulated, x: FloatArray, covariance: Covariance, solution: Solution
+) -> tuple[EstimatedParameter, ...]:
+    """Rows of an estimate at another solution, without those of its own record."""
+    values = dict(zip(like.parameters.names, map(float, like.parameters.values(x)), strict=True))
+    std = {p.name: float(one) for p, one in zip(like.free, covariance.std, strict=True)}
+    held = find_active_bounds(like.free, x, solution.residual, solution.jacobian)
+    return tuple(
+        replace(
+            row, value=values[row.name], stderr=std.get(row.name), at_bound=held.get(row.name), lack_of_fit=0.0,
+        )
+        for row in began.rows
+        if row.of_joint or row.name in std
+    )  # fmt: skip
+
+
 def _start(
-    log: LongRecord,
+    logs: Sequence[LongRecord],
     cut: tuple[int, int],
-    model: ClosedLoop,
-    known: Mapping[str, Parameter],
-    fit: FitRecord,
+    fit: FitWindow,
     progress: Progress,
-) -> Estimate:
-    """Estimate from the first window that identifies the joint.
+) -> tuple[Estimate, list[Record]]:
+    """Estimate from the first window that identifies the joint or robot, and its records.
 
     Raises:
         RecordError, MethodError: none of the first does; the error of the last one.
     """
     refusal: RecordError | MethodError = MethodError(NO_MOTION)
-    first = list(islice(filter(moves, (chunk.record for chunk in log.chunks(*cut))), 5))
-    enough = 0.5 * max(map(travel, first), default=0.0)  # windows with less are tried last
-    for record in sorted(first, key=lambda one: travel(one) < enough):
-        progress(f"starting from the window that begins at {record.begin:g} s")
+    first = list(islice((each for each in chunks_of(logs, *cut) if moves(each[1])), 5))
+    enough = 0.5 * max((travel(records) for _, records in first), default=0.0)  # windows with less are tried last
+    for chunk, records in sorted(first, key=lambda one: travel(one[1]) < enough):
+        progress(f"starting from the window that begins at {records[0].begin:g} s")
         try:
-            found = fit(record, model, parameters=known)
+            found = fit(records, chunk.number > 0)
         except (RecordError, MethodError) as error:
             refusal = error
             continue
         if not (lost := [row.name for row in found.rows if row.of_joint and row.value is None]):
-            return found
+            return found, records
         refusal = MethodError(
             f"A window does not show {', '.join(lost)}; give a longer window, or identify the joint as rigid."
         )

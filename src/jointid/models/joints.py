@@ -288,6 +288,11 @@ class ClosedLoop:
         """Names of the channels required to compare a record with this loop."""
         return ("torque", *self.controller.channels)
 
+    @property
+    def loops(self) -> list[ClosedLoop]:
+        """This one, as of a robot of one joint."""
+        return [self]
+
 
 def of_whole(p: Parameter, values: Mapping[str, float]) -> float:
     """Rigid parameter from flexible ones: sum of both sides; mean of speeds."""

@@ -277,7 +277,7 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
         RecordError: a channel that a controller reads is missing, or its clock does not divide the controller's.
         MethodError: there is not one record for each joint, or controllers or logs share no clock.
     """
-    loops = [loop] if isinstance(loop, ClosedLoop) else loop.loops
+    loops = loop.loops
     records = (record,) if isinstance(record, Record) else tuple(record)
     if len(records) != len(loops):
         raise MethodError(

@@ -142,7 +142,7 @@ class DIDIM(Method):
             known = widened_to_second(known, Z, -J, error, np.array([p.name not in held for p in problem.free]))
         filtering = problem.filtering
         assert filtering.cutoff is not None
-        white = whiteness(error, problem.sample_time * (filtering.decimation or 1), filtering.cutoff)
+        white = whiteness(error, problem.sample_time * problem.step, filtering.cutoff)
         delay = problem.values(x).get("delay", problem.axis.law.delay)
         made = build_estimate(
             [task.record],

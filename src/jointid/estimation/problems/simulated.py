@@ -400,6 +400,11 @@ class Simulated:
         return self.logs[0].sample_time
 
     @property
+    def step(self) -> int:
+        """Samples of the first log from one row to the next."""
+        return self.filtering.decimation or 1
+
+    @property
     def free(self) -> tuple[Parameter, ...]:
         """Free parameters, with bounds of the search variables."""
         return self.parameters.free
@@ -426,6 +431,10 @@ class Simulated:
         """Return the problem of changed logs; itself where none changes."""
         logs = tuple(map(change, self.logs))
         return replace(self, logs=logs) if any(a is not b for a, b in zip(logs, self.logs, strict=True)) else self
+
+    def with_log(self, **changes: object) -> Self:
+        """Return the problem of another log."""
+        return self.map_logs(lambda log: replace(log, **changes))
 
     def roughly(self) -> Self:
         """The problem with longer steps or shorter logs, to begin a search."""
@@ -634,10 +643,6 @@ class ClosedLoopProblem(Simulated):
         parameters = Parameters.of_joint(joint, (*own, *self.around))
         return replace(self, system=replace(self.system, joint=joint), parameters=parameters)
 
-    def with_log(self, **changes: object) -> ClosedLoopProblem:
-        """Return the problem of another log."""
-        return self.map_logs(lambda log: replace(log, **changes))
-
     def under(self, controller: Controller, record: Record | None = None) -> ClosedLoopProblem:
         """The problem with another controller, or with its record prepared for it.
 
@@ -800,13 +805,12 @@ def loop_log(
         RecordError: a channel is missing, or the records have not one clock.
         MethodError: see `prepare`; or the filtering is impossible.
     """
-    loops = [loop] if isinstance(loop, ClosedLoop) else loop.loops
-    for one, record in zip(loops, records, strict=False):
+    for one, record in zip(loop.loops, records, strict=False):
         record.require(one.channels, "DIDIM")
     experiment = prepare(loop, records)
     samples, sample_time = experiment.clock.samples, experiment.clock.sample_time
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
-    seen = tuple(map(seen_position, records, loops))
+    seen = tuple(map(seen_position, records, loop.loops))
     for j, (law, record) in enumerate(zip(seen, records, strict=True)):
         if law is not None and record.motor_position is not None:
             measured[:, j] = law.torque(record.motor_position.values)[:samples]
