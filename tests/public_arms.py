@@ -5,7 +5,7 @@ from math import pi
 
 import numpy as np
 
-from jointid.estimation.robots.bodies import mass_matrix_at
+from jointid.estimation.parameters import mass_matrix_at
 from jointid.models.robots.inertial import MassProperties, mass_properties
 from jointid.models.robots.robot import Robot, RobotJoint
 
@@ -77,7 +77,7 @@ def real_arm(model: Robot, seed: int, share: float = 0.3) -> Robot:
         inertia = factor * (np.trace(second) * np.eye(3) - second)
         centre = body.centre + 0.5 * share * size * random.uniform(-1, 1, 3)
         links.append(replace(link, inertial=MassProperties(factor * body.mass, centre, inertia).inertial))
-    loads = np.diag(mass_matrix_at(model, np.zeros(n)))
+    loads = np.diag(mass_matrix_at(model.tree, model.inertials, np.zeros(n)))
     rotors = np.maximum(loads * random.uniform(0.2, 2.0, n), loads.max() * random.uniform(0.01, 0.1, n))
     friction = np.maximum(5.0 * loads, 0.3)
     joints = [

@@ -44,7 +44,7 @@ from jointid.models.robots.base_parameters import (
     symbol_of,
 )
 from jointid.models.robots.inertial import SYMBOLS, UNITS
-from jointid.models.robots.robot import Robot, RobotLoop
+from jointid.models.robots.robot import Robot, RobotLoop, Tree
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.plant import DELAY, Numbers, Place, law_places
 from jointid.simulation.simulate import MassMotion
@@ -459,6 +459,16 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
                 f"{name} has a value, bounds or a start to keep; expected a value or bounds of friction or a constant "
                 f"torque, {', '.join(known)}: state one of them, or leave it out."
             )
+
+
+def mass_matrix_at(tree: Tree, inertials: FloatArray, pose: FloatArray) -> FloatArray:
+    """Mass matrix of a robot's links, (n, n), at a pose of its shafts, (n,)."""
+    from jointid.models.robots.equations import ROOM, equations_of_motion
+
+    n, still = pose.size, np.zeros(pose.size)
+    M = np.empty((n, n))
+    equations_of_motion(tree, inertials, pose, still, still, np.empty((n, ROOM)), M, np.empty(n))
+    return M
 
 
 def _order_parameters(numbers: Numbers, offsets: bool, rising: bool) -> tuple[Place, ...]:

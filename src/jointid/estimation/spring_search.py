@@ -41,7 +41,7 @@ from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.common.transmission import SIDES
 from jointid.estimation.descent import NOTHING, ROUGH, ROUGHLY, History, Solved, is_significant, search_rigid_joint
 from jointid.estimation.methods import Task
-from jointid.estimation.parameters import INITIAL_STATE, Parameters
+from jointid.estimation.parameters import INITIAL_STATE, Parameters, mass_matrix_at
 from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, outcome_of, torque_problem
 from jointid.estimation.rigid_starts import (
     first_state,
@@ -55,7 +55,7 @@ from jointid.models.controllers import REFERENCE, SampledLaw
 from jointid.models.joints import FlexibleJoint, acts_on_whole, split_by_mode, spring_at
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.plant import Numbers, Place
+from jointid.simulation.plant import Place
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
@@ -443,7 +443,9 @@ class SplitRobot:
         numbers = problem.parameters.base
         whole = rigid.parameters.numbers(rigid.values)
         poses = np.vstack([log.poses for log in problem.logs])
-        masses = np.array([_mass_matrix(problem, whole, pose) for pose in poses[:: max(len(poses) // _POSES, 1)]])
+        tree, bodies, few = problem.log.tree, whole.inertials, poses[:: max(len(poses) // _POSES, 1)]
+        masses = np.array([mass_matrix_at(tree, bodies, pose) for pose in few])
+        masses += np.diag([own["inertia"] for own in whole.values])
         if not np.min(np.linalg.eigvalsh(masses)) > 0.0:
             raise MethodError(
                 "The robot of rigid joints that the search of springs begins with has a mass matrix that is not "
@@ -527,16 +529,6 @@ class SplitRobot:
         own = problem.parameters
         bounded = tuple(within(place, one) for place, one in zip(own.places, own.parameters, strict=True))
         return replace(problem, parameters=replace(own, parameters=bounded))
-
-
-def _mass_matrix(problem: Simulated, numbers: Numbers, pose: FloatArray) -> FloatArray:
-    """Mass matrix of a rigid robot, rotors included, (n, n)."""
-    from jointid.models.robots.equations import ROOM, equations_of_motion
-
-    still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
-    M = np.empty((pose.size, pose.size))
-    equations_of_motion(problem.log.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
-    return M + np.diag([own["inertia"] for own in numbers.values])
 
 
 def _stiffen(values: FloatArray, parameters: Parameters, rigid: RobotFit) -> FloatArray:

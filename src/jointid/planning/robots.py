@@ -26,11 +26,11 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.diagnostics.axis_torques import torques_of_robot
-from jointid.estimation.parameters import Parameters, robot_parameters
+from jointid.estimation.parameters import Parameters, mass_matrix_at, robot_parameters
 from jointid.estimation.problems.inverse_model import measure_motion
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.bodies import consistent_robot, mass_matrix_at
+from jointid.estimation.robots.bodies import consistent_robot
 from jointid.estimation.robots.simulated import nominal_numbers
 from jointid.models.limits import AxisLimits
 from jointid.models.robots.robot import Robot, RobotLoop
@@ -315,9 +315,8 @@ def find_modes(robot: Robot, q: FloatArray) -> dict[str, float]:
 
     The inertia is the mean along the motion. The other shafts are held, since springs act on shafts.
     """
-    poses, joints = q[:: max(len(q) // 20, 1)], np.linalg.inv(robot.coupling)
-    bare = replace(robot, joints=tuple(replace(one, rotor_inertia=0.0, spring=None) for one in robot.joints))
-    about = np.mean([np.diag(joints.T @ mass_matrix_at(bare, one) @ joints) for one in poses], axis=0)
+    poses, tree, bodies = q[:: max(len(q) // 20, 1)] @ robot.coupling.T, robot.tree, robot.inertials
+    about = np.mean([np.diag(mass_matrix_at(tree, bodies, one)) for one in poses], axis=0)
     found = {}
     for k, joint in enumerate(robot.joints):
         if joint.spring is not None:

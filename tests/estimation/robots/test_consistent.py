@@ -7,7 +7,8 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
-from jointid.estimation.robots.bodies import consistent_robot, mass_matrix_at
+from jointid.estimation.parameters import mass_matrix_at
+from jointid.estimation.robots.bodies import consistent_robot
 from jointid.models.robots.inertial import from_log_cholesky, is_physical, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
 from jointid.output.export import export
@@ -113,5 +114,6 @@ def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() 
     spoilt = replace(estimate, robot=replace(part, values=part.values - 3 * spread))
     found = consistent_robot(spoilt)
     poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, len(robot)))
-    assert min(np.linalg.eigvalsh(mass_matrix_at(found.robot, q))[0] for q in poses) > 0.0
+    tree, bodies = found.robot.tree, found.robot.inertials
+    assert min(np.linalg.eigvalsh(mass_matrix_at(tree, bodies, q))[0] for q in poses) > 0.0
     assert np.all(found.robot.of_joints("viscous") >= 0)

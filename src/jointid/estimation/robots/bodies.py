@@ -27,9 +27,8 @@ from jointid.common.parallel import one_thread
 from jointid.common.text import interval, join, number
 from jointid.estimation.identify import fit
 from jointid.estimation.methods import Method
-from jointid.estimation.parameters import standard_index
+from jointid.estimation.parameters import mass_matrix_at, standard_index
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.inertial import (
     SYMBOLS,
     from_log_cholesky,
@@ -104,7 +103,8 @@ def consistent_robot(estimate: Estimate) -> ConsistentRobot:
     least = np.array([-np.inf if place.own in _SIGNED else 0.0 for place in own])
     motors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(base.joints)]
     bodies, scales = _prior_bodies(prior)
-    rotors, links = prior.of_joints("rotor_inertia"), np.diag(mass_matrix_at(prior, np.zeros(n)))
+    rotors = prior.of_joints("rotor_inertia")
+    links = np.diag(mass_matrix_at(prior.tree, prior.inertials, np.zeros(n))) + rotors
     unknown = rotors <= 0.0  # a URDF has no place for a rotor: 0 says nothing of it, so nothing holds it there
     near = np.concatenate([bodies, rotors])
     spread = _SPREAD * np.concatenate([scales, np.where(unknown, np.inf, np.maximum(rotors, 0.1 * links))])
@@ -158,15 +158,6 @@ def require_shown(estimate: Estimate) -> None:
             f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
             "leave this spring out of the robot file, or excite its mode."
         )
-
-
-def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
-    """Mass matrix of links and rotors, (n, n), at a pose, (n,)."""
-    n = len(robot)
-    pushed = np.eye(n + 1, n)  # by each joint, and by none, where gravity is left
-    columns = inverse_columns(robot, np.tile(q, (n + 1, 1)), 0.0 * pushed, pushed)
-    torques = columns @ np.append(robot.inertials, robot.of_joints("rotor_inertia")) @ robot.coupling
-    return np.asarray(torques[:n] - torques[n])
 
 
 def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:

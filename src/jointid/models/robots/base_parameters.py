@@ -55,11 +55,6 @@ def name_of(quantity: str, joint: str) -> str:
     return f"{joint}.{quantity}"
 
 
-def inertial_symbol(symbol: str, link: int) -> str:
-    """Symbol of a link's inertial parameter, counted from 1, as "Izz1"."""
-    return f"{symbol}{link + 1}"
-
-
 def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
     """Motor torque columns, (samples, n, 11 n): inertials by link, then rotors.
 
@@ -80,7 +75,7 @@ def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -
 def standard_symbols(robot: Robot) -> tuple[str, ...]:
     """Symbols of the standard parameters, (11 n,), with joints counted from 1."""
     numbers = range(len(robot))
-    links = (inertial_symbol(symbol, k) for k in numbers for symbol in SYMBOLS)
+    links = (f"{symbol}{k + 1}" for k in numbers for symbol in SYMBOLS)
     return (*links, *(symbol_of("rotor_inertia", k) for k in numbers))
 
 
@@ -103,7 +98,7 @@ def name_sum(robot: Robot, weights: FloatArray, kept: int) -> tuple[str, str, in
             quantity = "rotor_inertia" if np.count_nonzero(weights) == 1 else "inertia"
             return name_of(quantity, joint), symbol_of(quantity, kept - 10 * n), kept
         kept = int(own[0])
-    symbol = inertial_symbol(SYMBOLS[kept % 10], kept // 10)
+    symbol = f"{SYMBOLS[kept % 10]}{kept // 10 + 1}"
     return symbol, symbol, kept
 
 
