@@ -61,7 +61,7 @@ def test_the_inverse_model_s_deviations_are_not_those_of_the_torque() -> None:
     problem = torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), axis.loop.joint.parameters, fixed)
     truth = axis.truth
     x = problem.vector(truth)
-    raw = problem.log.columns(*problem.run(x), problem.keys)[0]
+    raw = problem.log.columns(*problem.run(x), problem.parameters.keys)[0]
     run = problem.simulate(x)
     columns = problem.loop.joint.regressor(run.motor, run.load)
     J, W = problem.filter(raw), np.concatenate([problem.filter(row) for row in columns])

@@ -318,13 +318,13 @@ def _evaluate_inverse_model(estimate: Estimate, records: Sequence[Record]) -> _P
     if part is None:
         known = estimate.require_values()
         inverse = inverse_of_joint(settings.joint, settings.delay)
-        values = np.array([known.get(name, 0.0) for name in inverse.names])
+        values = np.array([known.get(name, 0.0) for name in inverse.parameters.names])
     else:
         inverse, values = inverse_of_robot(part.model, part.parameters), part.values.copy()
     motion, axes = inverse.measure(records, settings.filtering).read_as(settings.timing), inverse.driven
     raw = inverse.columns(motion)
     rows = inverse.rows([motion], [raw])
-    own = np.array([name == ENCODER_OFFSET.name for name in inverse.names])  # counted from elsewhere in each record
+    own = np.array([name == ENCODER_OFFSET.name for name in rows.names])  # counted from elsewhere in each record
     values[own] += np.linalg.lstsq(rows.W[:, own], rows.Y - rows.W @ values, rcond=None)[0]
     whole, error = (one.reshape(axes, -1) for one in (rows.Y, rows.Y - rows.W @ values))
 

@@ -25,6 +25,7 @@ from jointid.estimation.problems.inverse_model import (
     inverse_of_robot,
     motion_along,
     steady_weights,
+    turn,
 )
 from jointid.estimation.problems.regression import solve_rows
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, torque_problem
@@ -124,7 +125,7 @@ def _regress_joint(
     """Return a joint's parameters by IDIM on a motion, (samples,)."""
     inverse = inverse_of_joint(problem.joint)
     found = _regress(problem, inverse, torque[:, np.newaxis], position[:, np.newaxis], [delay])
-    return dict(zip(inverse.names, map(float, found), strict=True))
+    return dict(zip(inverse.parameters.names, map(float, found), strict=True))
 
 
 def _regress(
@@ -140,14 +141,12 @@ def _regress(
     filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
     held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
     motion = motion_along(held, positions, filtering, delays)
-    cutoff = motion.filtering.position_cutoff
-    assert cutoff is not None
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
-    weights = np.column_stack([steady_weights(v, cutoff, motion.sample_time)[1] for v in motion.v.T])
+    weights = steady_weights(motion)[1]
     if np.mean(weights) >= most:  # else what is left tells less than what friction at rest bends
         motion = replace(motion, moving=weights)
     fixed = {p.name: p for p in problem.parameters if not p.free}
-    return solve_rows(inverse.rows([inverse.turn(motion)]), "weighted", fixed, turns=_REWEIGHTINGS).values
+    return solve_rows(inverse.rows([turn(inverse.system, motion)]), "weighted", fixed, turns=_REWEIGHTINGS).values
 
 
 # The controller turned round

@@ -219,7 +219,7 @@ class RobotModel:
         run = require_success(Simulation.of(kept), "The robot's motion")
         problem = pose_robot(loop, run.records(driven), parameters, self.filtering)
         values = parameters.group(kept.numbers)
-        J = problem.log.slopes(kept, problem.keys)
+        J = problem.log.slopes(kept, problem.parameters.keys)
         assert problem.filtering.decimation is not None
         sizes = self.sizes[:, np.newaxis] / math.sqrt(problem.filtering.decimation)
         assert run.load_position is not None and run.load_velocity is not None

@@ -107,13 +107,11 @@ def test_idim_gives_a_robot_without_springs_the_friction_of_both_sides() -> None
 
 @pytest.mark.slow
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:
-    robot = arm(3)
-    estimate = identified(robot, records_of(robot, 4, noise=15.0))
+    estimate = identified(arm(3), records_of(arm(3), 4, noise=15.0))
     part = estimate.require_robot()
     spread = estimate.covariance_of(part.names).std
-    spoilt = replace(estimate, robot=replace(part, values=part.values - 3 * spread))
-    found = consistent_robot(spoilt)
-    poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, len(robot)))
-    tree, bodies = found.robot.tree, found.robot.inertials
-    assert min(np.linalg.eigvalsh(mass_matrix_at(tree, bodies, q))[0] for q in poses) > 0.0
+    found = consistent_robot(replace(estimate, robot=replace(part, values=part.values - 3 * spread)))
+    poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (100, 3))
+    links = found.robot.tree, found.robot.inertials
+    assert min(np.linalg.eigvalsh(mass_matrix_at(*links, q))[0] for q in poses) > 0.0
     assert np.all(found.robot.of_joints("viscous") >= 0)

@@ -81,14 +81,12 @@ def _motion_log(record: Record, joint: Joint, filtering: Filtering) -> MotionLog
     # How late the log shows the torque is searched, so its timing is taken as it is.
     stated, counts = [replace(torque, stated=True)], record.counts(position.size, torque.sample_time)[:, np.newaxis]
     motion = motion_along(stated, position[:, np.newaxis], filtering, model=joint.model, counts=counts)
-    velocity, cutoff = (motion.v * motion.counts)[:, 0], motion.filtering.position_cutoff
-    assert cutoff is not None
-    weights = moving_weights(velocity)
+    weights = moving_weights((motion.v * motion.counts)[:, 0])[:, np.newaxis]
     # The rounding of an encoder would have the load of a motor that rests begin where Coulomb friction drags it.
-    prescribed = prescribe(motion.q, torque.sample_time, PARTS, resting=not weights[0])
+    prescribed = prescribe(motion.q, torque.sample_time, PARTS, resting=not weights[0, 0])
     if joint.model == "rigid":  # a spring smooths the jump of the load's acceleration at a reversal
-        weights = steady_weights(velocity, cutoff, torque.sample_time)[1]
-    motion = replace(motion, moving=weights[:, np.newaxis] * motion.counts, told=-math.inf)  # faint rows count, too
+        weights = steady_weights(motion)[1]
+    motion = replace(motion, moving=weights * motion.counts, told=-math.inf)  # faint rows count, too
     return MotionLog(motion.torque, motion.filtering, motion, prescribed, PARTS)
 
 

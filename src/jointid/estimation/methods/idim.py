@@ -36,6 +36,7 @@ from jointid.estimation.problems.inverse_model import (
     inverse_of_joint,
     inverse_of_robot,
     through_window,
+    turn,
 )
 from jointid.estimation.problems.regression import Estimator, Instruments, Solution, solve_rows
 from jointid.estimation.problems.simulated import require_free
@@ -107,9 +108,10 @@ class IDIM(Method):
         read += [*POSITIONS[: len(joint.sides)], *(("injected",) if record.injected is not None else ())]
 
         def state(solved: Solution) -> dict[str, Any]:
-            stated = [p for p in solved.fix(inverse.parameters) if p.free or p.name in known]
+            stated = [p for p in solved.fix(inverse.parameters.parameters) if p.free or p.name in known]
             values, std = (
-                dict(zip(inverse.names, map(float, one), strict=True)) for one in (solved.values, solved.covariance.std)
+                dict(zip(solved.rows.names, map(float, one), strict=True))
+                for one in (solved.values, solved.covariance.std)
             )
             table = build_rows(stated, values, std, joint.unit, known, solved.held)
             Z = solved.instruments
@@ -253,11 +255,11 @@ def simulate_columns(
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
         MethodError: controllers or logs share no clock.
     """
-    bounds, of_joint = Bounds.of(inverse.parameters), isinstance(loop, ClosedLoop)
+    bounds, of_joint = Bounds.of(inverse.parameters.parameters), isinstance(loop, ClosedLoop)
     experiments = [prepare(loop, log) for log in logs]
 
     def instruments(values: FloatArray) -> FloatArray:
-        numbers, each = inverse.numbers(bounds.clip(values)), list[FloatArray]()
+        numbers, each = inverse.parameters.numbers(bounds.clip(values)), list[FloatArray]()
         for experiment, motion in zip(experiments, motions, strict=True):
             initial = Initial(float(motion.q[0, 0]), float(motion.v[0, 0])) if of_joint else None
             run = run_loop(experiment, numbers, initial, keep=True)
@@ -270,7 +272,7 @@ def simulate_columns(
             whole = np.pad(positions, ((0, size - len(positions)), (0, 0)), "edge")
             q, v, a = filter_motion(whole, motion.sample_time, motion.filtering)
             moved = replace(motion, q=q, v=v, a=a)
-            each.append(inverse.columns(inverse.turn(moved)))
+            each.append(inverse.columns(turn(inverse.system, moved)))
         return inverse.rows(motions, each).W
 
     return instruments

@@ -18,13 +18,14 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TypeAlias, cast
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.parameters import Parameters
 from jointid.estimation.problems.regression import Rows
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.position_forces import Motion
@@ -43,10 +44,6 @@ from jointid.records.signals.filtering import (
     thin_channel,
     window_torque,
 )
-from jointid.simulation.plant import Numbers
-
-if TYPE_CHECKING:
-    from jointid.estimation.parameters import Parameters
 
 ENCODER_OFFSET = Parameter("encoder_offset", "K dq0", Quantity.FORCE)
 """The spring's force by the difference of two encoders' zeros, which acts on the load and against the motor.
@@ -154,30 +151,19 @@ class Inverse:
         system: the joint, or the robot, whose joints are rigid.
         parameters: of the columns.
         columns: of a motion, (samples, equations, parameters), not filtered.
-        numbers: from values, (parameters,), to what simulates them.
         driven: how many equations, the first, have the torque of a motor.
         delay: seconds from the output of a joint's controller to the torque that acts.
     """
 
     system: Joint | Robot
-    parameters: tuple[Parameter, ...]
+    parameters: Parameters
     columns: Callable[[MeasuredMotion], FloatArray]
-    numbers: Callable[[FloatArray], Numbers]
     driven: int = 1
     delay: float = 0.0
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return tuple(p.name for p in self.parameters)
 
     def measure(self, records: Sequence[Record], filtering: Filtering) -> MeasuredMotion:
         """Return the motion of a log; see `measure_motion`."""
         return measure_motion(self.system, records, filtering, delay=self.delay)
-
-    def turn(self, motion: MeasuredMotion) -> MeasuredMotion:
-        """Convert the motors' motion to a robot's joints, for its columns."""
-        return turn(self.system, motion) if isinstance(self.system, Robot) else motion
 
     def rows(self, motions: Sequence[MeasuredMotion], columns: Iterable[FloatArray] | None = None) -> Rows:
         """Regression along the motions of logs, by default of their own columns."""
@@ -186,12 +172,14 @@ class Inverse:
         W, series = join_rows(columns, n), tuple(len(each) // n for each in columns)
         torques = [motion.decimate(np.stack([motion.torque, motion.if_sampled], axis=2)) for motion in motions]
         Y, early = join_rows(torques, n).T
-        return Rows(Y, W, self.names, n, self.driven, series, early if np.any(early) else None)
+        return Rows(Y, W, self.parameters.names, n, self.driven, series, early if np.any(early) else None)
 
 
-def turn(robot: Robot, motion: MeasuredMotion) -> MeasuredMotion:
-    """Convert the motion of a robot's motors to its joints."""
-    joints = np.linalg.inv(robot.coupling).T
+def turn(system: Joint | Robot, motion: MeasuredMotion) -> MeasuredMotion:
+    """Convert the motion of a robot's motors to its joints; that of a joint stays."""
+    if not isinstance(system, Robot):
+        return motion
+    joints = np.linalg.inv(system.coupling).T
     return replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
 
 
@@ -307,10 +295,8 @@ def inverse_of_joint(joint: Joint, delay: float = 0.0, parameters: tuple[Paramet
         offset = np.broadcast_to([[-1.0], [1.0]], (len(motion.q), 2, 1))
         return np.concatenate([of_joint, offset], axis=2) if load else of_joint
 
-    def numbers(values: FloatArray) -> Numbers:
-        return Numbers.of_joint(joint, {p.name: float(value) for p, value in zip(own, values, strict=False)})
-
-    return Inverse(joint, (*own, ENCODER_OFFSET) if joint.model == "flexible" else own, columns, numbers, delay=delay)
+    every = (*own, ENCODER_OFFSET) if joint.model == "flexible" else own
+    return Inverse(joint, Parameters.of_joint(joint, every), columns, delay=delay)
 
 
 def _late(record: Record, delay: float, period: float) -> float:
@@ -369,7 +355,7 @@ def inverse_of_robot(robot: Robot, parameters: Parameters) -> Inverse:
     def columns(motion: MeasuredMotion) -> FloatArray:
         return parameters.columns(robot, motion.q, motion.v, motion.a)
 
-    return Inverse(robot, parameters.parameters, columns, parameters.numbers, len(robot))
+    return Inverse(robot, parameters, columns, len(robot))
 
 
 # From records to a motion
@@ -426,14 +412,10 @@ def measure_motion(
     delays = [_late(record, delay, sample_time) for record in records]
     counts = np.column_stack([record.counts(size, sample_time) for record in records])
     motion = motion_along(channels, raw, filtering, delays, model if robot else joints[0].model, counts)
-    cutoff = motion.filtering.position_cutoff
-    if cutoff is not None and filtering.timing == "respected":  # the published pipeline takes all rows
-        few = _FEW if robot is None else 0.0
-        seen = motion.v * motion.counts  # what is left out rests
-        weights = [steady_weights(v, cutoff, sample_time, smear, few) for v in seen.T]
+    if filtering.timing == "respected":  # the published pipeline takes all rows
+        moving, steady = steady_weights(motion, smear, _FEW if robot is None else 0.0)
         # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
-        moving = np.column_stack([moves if springs else steady for moves, steady in weights])
-        motion = replace(motion, moving=moving * motion.counts, apart=robot is None)
+        motion = replace(motion, moving=(moving if springs else steady) * motion.counts, apart=robot is None)
     if robot is None:
         return motion
     require_torques(robot, [channel.values for channel in channels])
@@ -470,23 +452,24 @@ def moving_weights(velocity: FloatArray, long: int = 3, reach: int = 3, *, turni
     return np.asarray(1.0 - left)
 
 
-def steady_weights(
-    velocity: FloatArray, cutoff: float, sample_time: float, smear: float = SMEAR, few: float = _FEW
-) -> tuple[FloatArray, FloatArray]:
-    """Weights 0 at rest, else 1; and with reversals excluded.
+def steady_weights(motion: MeasuredMotion, smear: float = SMEAR, few: float = _FEW) -> tuple[FloatArray, FloatArray]:
+    """Weights, (samples, n), 0 at rest, else 1; and with reversals excluded.
 
-    At a reversal the acceleration jumps by the Coulomb friction. The position filter smears the jump, which looks like
-    inertia: at 30 Hz it was 14 % of an inertia, and as much as half a sample of timing. The sign of a filtered velocity
-    also changes some samples before or after the reversal, where rows are off by up to twice that friction.
+    What is left out rests. At a reversal the acceleration jumps by the Coulomb friction. The position filter smears the
+    jump, which looks like inertia: at 30 Hz it was 14 % of an inertia, and as much as half a sample of timing. The sign
+    of a filtered velocity also changes some samples before or after the reversal, where rows are off by up to twice
+    that friction.
 
     Args:
-        velocity: (samples,) of positions filtered with this cut-off.
-        cutoff: Hz.
-        sample_time: s.
-        smear: periods of the filter on each side that are left out.
+        motion: along filtered positions.
+        smear: periods of their filter on each side that are left out.
         few: share of the moving samples; if less were left without reversals, these stay.
     """
-    reach = math.ceil(smear / (cutoff * sample_time))
+    assert motion.filtering.position_cutoff is not None
+    reach = math.ceil(smear / (motion.filtering.position_cutoff * motion.sample_time))
     long = max(20, 4 * reach)  # samples in a row that are a rest before filtered positions
-    moving, steady = (moving_weights(velocity, long, reach, turning=turning) for turning in (False, True))
-    return moving, moving if np.mean(steady) < few * np.mean(moving) else steady
+    moving, steady = (
+        np.column_stack([moving_weights(v, long, reach, turning=turning) for v in (motion.v * motion.counts).T])
+        for turning in (False, True)
+    )
+    return moving, np.where(np.mean(steady, axis=0) < few * np.mean(moving, axis=0), moving, steady)

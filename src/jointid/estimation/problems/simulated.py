@@ -409,15 +409,6 @@ class Simulated:
         """Free parameters, with bounds of the search variables."""
         return self.parameters.free
 
-    @property
-    def keys(self) -> Sequence[Place]:
-        """Places of the derivatives of a simulation, (free,)."""
-        return self.parameters.keys
-
-    def scales(self, x: FloatArray) -> FloatArray:
-        """Derivatives of the free parameters by the search variables, (free,)."""
-        return self.parameters.scales(x)
-
     def numbers(self, x: FloatArray) -> Numbers:
         """Return the numbers of a candidate."""
         return self.parameters.numbers(self.parameters.values(x))
@@ -536,7 +527,7 @@ class Simulated:
         error = _filter_error(log, run)
         if run.outcome is not Outcome.FINISHED:
             return error, np.zeros((error.size, x.size)), run
-        return error, log.slopes(run, self.keys) * -self.scales(x), run
+        return error, log.slopes(run, self.parameters.keys) * -self.parameters.scales(x), run
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted residual, (rows,), and derivatives, (rows, free); 0 if simulation fails.

@@ -179,7 +179,7 @@ def _judge_springs(problem: Simulated, x: FloatArray, std: FloatArray, most: flo
         most: largest relative deviation of a stiffness.
     """
     found = dict[str, float | None]()
-    for parameter, place, value, share in zip(problem.free, problem.keys, x, std, strict=True):
+    for parameter, place, value, share in zip(problem.free, problem.parameters.keys, x, std, strict=True):
         if place.name == "stiffness":
             shown = 0.0 < share < most and value < parameter.upper - 1e-3  # off its bound
             least = math.exp(value) / (1.0 + INTERVAL * float(share))
