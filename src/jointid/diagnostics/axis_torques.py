@@ -18,8 +18,8 @@ from jointid.common.parallel import in_threads
 from jointid.diagnostics.changes import AVERAGED, OF_REFERENCE, SCREENED, list_variants
 from jointid.diagnostics.seen import Seen
 from jointid.diagnostics.suspects import FAULTS, Fault, FaultSignature, list_signatures
-from jointid.estimation.problems.inverse_model import MeasuredMotion, inverse_of_robot
-from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, decimate_each, pose_robot
+from jointid.estimation.problems.inverse_model import MeasuredMotion, decimate_each, inverse_of_robot
+from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, pose_robot
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.robots.inertial import SYMBOLS

@@ -33,7 +33,8 @@ from jointid.estimation.force_in_loop import MATTERS, TOLD
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods import Method
-from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog, decimate_each
+from jointid.estimation.problems.inverse_model import decimate_each
+from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import (
     SLIGHT,
@@ -336,8 +337,7 @@ def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> Sequence[Float
     for c, (one, own) in enumerate(zip(tried, direct, strict=True)):
         if not any(log.seen) or log.seen[one.axis] is None:  # else the declared law shows the position
             found[one.axis][:, c] += own
-    rows = decimate_each(log, found)
-    return list(np.moveaxis(rows.reshape(len(each), -1, len(others)), 2, 0))
+    return list(np.moveaxis(decimate_each(log, found).reshape(len(each), -1, len(others)), 2, 0))
 
 
 def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) -> float:

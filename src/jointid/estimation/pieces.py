@@ -646,8 +646,7 @@ def chunks_of(logs: Sequence[LongRecord], length: int, overlap: int) -> Iterator
 
 def _commanded(problem: Simulated) -> tuple[FloatArray, FloatArray]:
     """Return the references of a window and their velocities, (samples, n) each."""
-    log = problem.log
-    position = log.poses[log.experiment.clock.log_index // log.experiment.clock.lengths.size]
+    position = problem.log.poses
     return position, np.gradient(position, problem.sample_time, axis=0)
 
 

@@ -69,18 +69,18 @@ def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[st
 def inversion_start(problem: ClosedLoopProblem) -> dict[str, float]:
     """Return a start by IDIM on the reconstructed position."""
     torque, position = _turn_round(problem)
-    return _regress_joint(problem, torque, position, problem.axis.law.delay) | first_state(problem, position)
+    found = _regress(problem, inverse_of_joint(problem.joint), torque, position, [problem.axis.law.delay])
+    return found | first_state(problem, position)
 
 
 def regular_start(problem: ClosedLoopProblem) -> dict[str, float]:
     """Regular inertia from the reference under perfect tracking, and no friction."""
-    experiment = problem.axis
+    experiment, reference = problem.axis, problem.log.poses
     periods = experiment.clock.log_index // experiment.clock.lengths.size
-    reference = experiment.inputs[periods, REFERENCE]
     torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
     regular = {p.name: 0.0 if p.free else p.start or 0.0 for p in problem.parameters}
-    regular["inertia"] = abs(_regress_joint(problem, torque, reference, 0.0)["inertia"])
-    return regular | {"initial_position": float(reference[0]), "initial_velocity": 0.0}
+    regular["inertia"] = abs(_regress(problem, inverse_of_joint(problem.joint), torque, reference)["inertia"])
+    return regular | {"initial_position": float(reference[0, 0]), "initial_velocity": 0.0}
 
 
 def start_with_friction(problem: ClosedLoopProblem, progress: Progress) -> dict[str, float]:
@@ -119,24 +119,16 @@ def fit_initial_state(problem: ClosedLoopProblem) -> FloatArray:
     return problem.vector(min(ends, key=lambda end: end.norm).values)
 
 
-def _regress_joint(
-    problem: ClosedLoopProblem, torque: FloatArray, position: FloatArray, delay: float
-) -> dict[str, float]:
-    """Return a joint's parameters by IDIM on a motion, (samples,)."""
-    inverse = inverse_of_joint(problem.joint)
-    found = _regress(problem, inverse, torque[:, np.newaxis], position[:, np.newaxis], [delay])
-    return dict(zip(inverse.parameters.names, map(float, found), strict=True))
-
-
 def _regress(
     problem: Simulated,
     inverse: Inverse,
     torques: FloatArray,
     positions: FloatArray,
-    delays: Sequence[float],
+    delays: Sequence[float] = (0.0,),
     most: float = _MOST,
-) -> FloatArray:
-    """Parameters by IDIM on guessed motor motions, (samples, n), without their ends."""
+) -> dict[str, float]:
+    """Parameters by IDIM on guessed motor motions, (samples, n) or (samples,), without their ends."""
+    torques, positions = (one.reshape(len(one), -1) for one in (torques, positions))
     borders = _BORDERS if len(torques) > _SHORT else 0
     filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
     held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
@@ -146,7 +138,8 @@ def _regress(
     if np.mean(weights) >= most:  # else what is left tells less than what friction at rest bends
         motion = replace(motion, moving=weights)
     fixed = {p.name: p for p in problem.parameters if not p.free}
-    return solve_rows(inverse.rows([turn(inverse.system, motion)]), "weighted", fixed, turns=_REWEIGHTINGS).values
+    found = solve_rows(inverse.rows([turn(inverse.system, motion)]), "weighted", fixed, turns=_REWEIGHTINGS)
+    return dict(zip(found.rows.names, map(float, found.values), strict=True))
 
 
 # The controller turned round
@@ -225,10 +218,9 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
     """
     log, failures = problem.log, list[str]()
     experiment, inverse = log.experiment, inverse_of_robot(loop.robot, problem.parameters)
-    commanded = experiment.references[experiment.clock.log_index // experiment.clock.lengths.size]
     delays = [one.law.delay for one in experiment.axes]
     for name, most in (("inversion", _MOST), ("inversion", np.inf), ("reference", _MOST)):
-        torques, positions = log.measured.copy(), commanded.copy()
+        torques, positions = log.measured.copy(), log.poses
         each = zip(loop.robot.links, loop.controllers, records, strict=True)
         try:
             for j, (link, controller, record) in enumerate(each):
@@ -241,7 +233,7 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
         except MethodError as error:
             failures.append(str(error))
             continue
-        x = Bounds.of(problem.free).clip(found[: len(problem.free)])
+        x = Bounds.of(problem.free).clip(problem.vector(found))
         outcome = log.run(problem.numbers(x), keep=False).outcome
         if outcome is Outcome.FINISHED:
             return x

@@ -18,12 +18,13 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.parallel import in_threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.parameters import Parameters
 from jointid.estimation.problems.regression import Rows
@@ -100,10 +101,6 @@ class MeasuredMotion:
     apart: bool = False
     told: float = TOLD
 
-    def decimate(self, signals: FloatArray) -> FloatArray:
-        """Decimate signals, (samples, n, columns), to (n instants, columns), 0 at rest."""
-        return np.concatenate([self.decimate_joint(j, signals[:, j]) for j in range(signals.shape[1])])
-
     def decimate_columns(self, columns: FloatArray) -> FloatArray:
         """Columns, (samples, n, columns), through the torques' window and decimation.
 
@@ -170,7 +167,9 @@ class Inverse:
         pairs, n = zip(motions, columns or map(self.columns, motions), strict=True), motions[0].q.shape[1]
         columns = [motion.decimate_columns(each) for motion, each in pairs]
         W, series = join_rows(columns, n), tuple(len(each) // n for each in columns)
-        torques = [motion.decimate(np.stack([motion.torque, motion.if_sampled], axis=2)) for motion in motions]
+        torques = [
+            decimate_each(motion, np.stack([motion.torque.T, motion.if_sampled.T], axis=2)) for motion in motions
+        ]
         Y, early = join_rows(torques, n).T
         return Rows(Y, W, self.parameters.names, n, self.driven, series, early if np.any(early) else None)
 
@@ -181,6 +180,11 @@ def turn(system: Joint | Robot, motion: MeasuredMotion) -> MeasuredMotion:
         return motion
     joints = np.linalg.inv(system.coupling).T
     return replace(motion, q=motion.q @ joints, v=motion.v @ joints, a=motion.a @ joints)
+
+
+def decimate_each(log: Any, each: Sequence[FloatArray] | FloatArray) -> FloatArray:
+    """Filter signals of each joint, (samples,) or (samples, columns), in the rows of a log, and concatenate."""
+    return np.concatenate(in_threads(lambda j: log.decimate_joint(j, each[j]), range(len(each))))
 
 
 def join_rows(each: Sequence[FloatArray], equations: int) -> FloatArray:
@@ -351,11 +355,9 @@ def require_torques(robot: Robot, torques: Iterable[FloatArray]) -> None:
 
 def inverse_of_robot(robot: Robot, parameters: Parameters) -> Inverse:
     """Return the inverse model of a robot of rigid joints."""
-
-    def columns(motion: MeasuredMotion) -> FloatArray:
-        return parameters.columns(robot, motion.q, motion.v, motion.a)
-
-    return Inverse(robot, parameters, columns, len(robot))
+    return Inverse(
+        robot, parameters, lambda motion: parameters.columns(robot, motion.q, motion.v, motion.a), len(robot)
+    )
 
 
 # From records to a motion

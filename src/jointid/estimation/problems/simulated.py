@@ -41,13 +41,14 @@ from jointid.estimation.problems.inverse_model import (
     TOLD,
     MeasuredMotion,
     Records,
+    decimate_each,
     each_log,
     join_rows,
     measure_motion,
     moving_weights,
     require_torques,
 )
-from jointid.models.controllers import POSITION, REFERENCE, Controller, number, with_numbers
+from jointid.models.controllers import REFERENCE, Controller, number, with_numbers
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.base_parameters import symbol_of
 from jointid.models.robots.robot import Robot, RobotLoop, Tree
@@ -131,7 +132,7 @@ class LoopLog:
     @property
     def poses(self) -> FloatArray:
         """Approximate positions of the shafts, (samples, n): the references."""
-        return self.experiment.references
+        return self.experiment.references[self.experiment.clock.log_index // self.experiment.clock.lengths.size]
 
     def roughly(self) -> LoopLog:
         """Return the log simulated in steps twice as long."""
@@ -164,8 +165,7 @@ class LoopLog:
 
     def predict(self, run: Run) -> FloatArray:
         """Predict the torque as logged, or as computed from positions, (samples, n)."""
-        torque = self._output(run)
-        return torque if self.tree is not None else _show(torque, run.numbers.values[0], self.sample_time)
+        return _show(self._output(run), run.numbers.values[0], self.sample_time)
 
     def _output(self, run: Run) -> FloatArray:
         torque = run.torque.reshape(len(self.measured), -1)
@@ -335,11 +335,6 @@ class MotionLog:
 
 
 Log: TypeAlias = LoopLog | MotionLog
-
-
-def decimate_each(log: Log, each: Sequence[FloatArray]) -> FloatArray:
-    """Filter signals of each joint, (samples,) or (samples, columns), and concatenate."""
-    return np.concatenate(in_threads(lambda j: log.decimate_joint(j, each[j]), range(len(each))))
 
 
 def _filter_error(log: Log, run: Any) -> FloatArray:
@@ -687,13 +682,11 @@ def beginning_position(problem: ClosedLoopProblem, velocity: float = 0.0, torque
     the first of the log.
     """
     axis = problem.axis
-    law = axis.feedback
-    home = float(axis.inputs[0, REFERENCE])
-    if law.integrates:  # its integral carries the load, and the motor is where it is asked to be
+    home, (gain, by_speed) = float(axis.inputs[0, REFERENCE]), axis.by_motion
+    if axis.feedback.integrates:  # its integral carries the load, and the motor is where it is asked to be
         return home
-    gain = law.C[0, law.output] @ axis.memory[:, 0] + law.D[0, law.output, POSITION]
     asked = problem.measured[0] if torque is None else torque
-    asked -= axis.shown[0] + axis.feedforward[law.output, 0] + velocity * (law.C[0, law.output] @ axis.memory[:, 1])
+    asked -= axis.shown[0] + axis.feedforward[axis.feedback.output, 0] + velocity * by_speed
     return float(asked / gain) if gain != 0.0 else home
 
 
