@@ -235,10 +235,7 @@ class Parameters:
             logarithmic=np.append(self.logarithmic, np.zeros(len(more), dtype=np.bool_)),
             grouping=np.vstack([self.grouping, alone]),
         )
-        return found._with_fixed_last()
-
-    def _with_fixed_last(self) -> Parameters:
-        return self.select([*np.flatnonzero(self._searched), *np.flatnonzero(~self._searched)])
+        return found.select(np.argsort(~found._searched, kind="stable").tolist())  # the fixed ones last
 
     @property
     def of_standard(self) -> FloatArray:
@@ -442,7 +439,7 @@ def apply_constraints(parameters: Parameters, known: Mapping[str, Parameter]) ->
             changed.append(replace(one, lower=max(one.lower, stated.lower), upper=min(one.upper, stated.upper)))
     searched = parameters.logarithmic & [p.free for p in changed]
     found = replace(parameters, parameters=tuple(changed), logarithmic=searched)
-    return found._with_fixed_last()
+    return found.add()  # with the fixed ones last
 
 
 def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:

@@ -30,7 +30,6 @@ from jointid.estimation.problems.inverse_model import (
 from jointid.estimation.problems.regression import solve_rows
 from jointid.estimation.problems.simulated import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.models.controllers import POSITION, REFERENCE, invert
-from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.simulation.simulate import Outcome
 from jointid.solvers.solve import LevenbergMarquardt, solve
@@ -221,13 +220,11 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
     delays = [one.law.delay for one in experiment.axes]
     for name, most in (("inversion", _MOST), ("inversion", np.inf), ("reference", _MOST)):
         torques, positions = log.measured.copy(), log.poses
-        each = zip(loop.robot.links, loop.controllers, records, strict=True)
         try:
-            for j, (link, controller, record) in enumerate(each):
+            for j, (own, record) in enumerate(zip(loop.loops, records, strict=True)):
                 # Of a slow controller the log shows each output many times.
                 if name == "inversion" and experiment.axes[j].clock.shows == 1:
-                    joint = RigidJoint(link.kind)
-                    alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
+                    alone = torque_problem(record, own, problem.filtering, own.joint.parameters)
                     torques[:, j], positions[:, j] = (one[: len(torques)] for one in _turn_round(alone))
             found = _regress(problem, inverse, torques, positions, delays, most)
         except MethodError as error:

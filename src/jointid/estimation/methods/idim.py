@@ -255,13 +255,12 @@ def simulate_columns(
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
         MethodError: controllers or logs share no clock.
     """
-    bounds, of_joint = Bounds.of(inverse.parameters.parameters), isinstance(loop, ClosedLoop)
-    experiments = [prepare(loop, log) for log in logs]
+    bounds, experiments = Bounds.of(inverse.parameters.parameters), [prepare(loop, log) for log in logs]
 
     def instruments(values: FloatArray) -> FloatArray:
         numbers, each = inverse.parameters.numbers(bounds.clip(values)), list[FloatArray]()
         for experiment, motion in zip(experiments, motions, strict=True):
-            initial = Initial(float(motion.q[0, 0]), float(motion.v[0, 0])) if of_joint else None
+            initial = Initial(float(motion.q[0, 0]), float(motion.v[0, 0])) if experiment.tree is None else None
             run = run_loop(experiment, numbers, initial, keep=True)
             if run.outcome is not Outcome.FINISHED:
                 raise MethodError(

@@ -408,6 +408,10 @@ class Simulated:
         """Return the numbers of a candidate."""
         return self.parameters.numbers(self.parameters.values(x))
 
+    def values(self, x: FloatArray) -> dict[str, float]:
+        """Return every parameter by name, the fixed ones too."""
+        return dict(zip(self.parameters.names, map(float, self.parameters.values(x)), strict=True))
+
     def vector(self, values: Mapping[str, float]) -> FloatArray:
         """Search variables, (free,), of values by name; missing ones start as declared."""
         found = [values.get(p.name, p.start or 0.0) for p in self.parameters]
@@ -596,10 +600,6 @@ class ClosedLoopProblem(Simulated):
     def units(self) -> dict[str, str]:
         """Of every parameter, by name."""
         return {p.name: self.joint.unit(p) for p in self.parameters}
-
-    def values(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter by name, the fixed ones too."""
-        return dict(zip(self.parameters.names, map(float, self.parameters.values(x)), strict=True))
 
     # Other problems
 

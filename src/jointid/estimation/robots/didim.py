@@ -359,13 +359,12 @@ class _Search:
         robot, sigma, history = self.setup.robot, linear.problem.sigma, self.history
         given = dict(self.known)
         self.known |= {p.name: p for p in linear.parameters.parameters}  # springs have bounds that a search gave them
-        numbers = linear.problem.numbers(linear.x)
-        values = dict(zip(linear.parameters.names, linear.values, strict=True))
+        numbers, values = linear.problem.numbers(linear.x), linear.problem.values(linear.x)
         changed = [i for i, joint in enumerate(robot.joints) if joint.linear != joint]
         for i in (*([-1] if late else []), *changed):
             joints = (*robot.joints[: i + 1], *(other.linear for other in robot.joints[i + 1 :]))
             problem = self.pose(replace(near, robot=replace(robot, joints=joints)), self.filtering, late)
-            problem, own = replace(problem, sigma=sigma), problem.parameters
+            problem = replace(problem, sigma=sigma)
             values |= {p.name: p.start for p in problem.free if p.name not in values and p.start is not None}
             starts, what = [values], "delays of the torques"
             if i >= 0:
@@ -384,8 +383,7 @@ class _Search:
                     f"{outcome_of(rough.run(best.x)).value}. Declare simpler laws, or state starts of "
                     "their parameters."
                 )
-            found = own.values(best.x)
-            values, numbers = dict(zip(own.names, found, strict=True)), own.numbers(found)
+            values, numbers = problem.values(best.x), problem.numbers(best.x)
             sigma = _reweight(best).sigma
         return _settle(problem, _go_on(_reweight(best), best, _CLOSE, history), history)
 
