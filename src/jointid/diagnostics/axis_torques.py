@@ -207,7 +207,7 @@ def _bend(part: IdentifiedRobot, motion: MeasuredMotion) -> FloatArray:
     values = np.where(of_links, part.values, 0.0)
 
     def through(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        return np.asarray(part.regressor(q, v, a) @ values)
+        return np.asarray(sums.columns(part.model, q, v, a) @ values)
 
     q, v, a, raw = motion.q, motion.v, motion.a, motion.raw
     still, found = through(q, v, a), []

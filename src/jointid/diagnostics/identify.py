@@ -44,8 +44,8 @@ from jointid.estimation.result.verdict import (
     Subject,
     Widening,
     assemble,
+    check_of,
     checks_of,
-    skip_test,
 )
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.controllers import Controller, FirstOrder
@@ -137,7 +137,7 @@ def identify(
         broken = find_broken_part(checked.records[0]) if len(checked.records) == 1 else None
         return assemble(fit if broken is None else fit.warn(broken.words))
     if not checks:
-        return replace(assemble(fit, *_left_out("not checked", LATER)), x=checked.x)
+        return replace(assemble(fit, _untested("not checked", LATER)), x=checked.x)
     return assemble(fit, *run_checks(checked, progress))
 
 
@@ -157,8 +157,8 @@ def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_pro
     return assemble(fit, *run_checks(fit, progress))
 
 
-def _left_out(why: str, values: Mapping[str, object] | None = None) -> Checked:
-    return checks_of(Subject.LOOP, None, Message(Reason.NOT_TESTED, why, values or {})), (), None
+def _untested(why: str, values: Mapping[str, object] | None = None) -> tuple[Check, ...]:
+    return (check_of(Subject.LOOP, None, Reason.NOT_TESTED, why, values),)
 
 
 def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
@@ -202,9 +202,9 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
             found = diagnose_joint(fit, record, problem, x, explain=explain)
             loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
         else:
-            loop = (check_without_joint(record, problem.loop_at(x)),)
+            loop = check_without_joint(record, problem.loop_at(x))
     except FAILS as error:
-        loop = (skip_test(Subject.LOOP, f"not checked: {error}"),)
+        loop = _untested(f"not checked: {error}")
     faults = None if found is None else found.axes[0].faults
     part = find_part_of_loop(problem, x, record) if faults is None else faults.part
     if part is not None:
@@ -234,23 +234,23 @@ def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
     return wider
 
 
-def check_without_joint(record: Record, loop: ClosedLoop) -> Check:
+def check_without_joint(record: Record, loop: ClosedLoop) -> tuple[Check, ...]:
     """Check the loop of a partly identified joint, by the motor position."""
     law = compare_law(record, loop)
     if law is None:
-        return skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
-    return checks_of(Subject.LOOP, law.agreement.code == Agreement.HOLDS, law.agreement)[0]
+        return _untested("not checked, because the joint is not fully identified; identify it as rigid")
+    return checks_of(Subject.LOOP, law.agreement.code == Agreement.HOLDS, law.agreement)
 
 
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Checked:
     """Check a robot's fit: simulated controllers, and the residual of each joint."""
     if len(fit.records) != len(part.model):
-        return _left_out("not checked: several records were identified in one fit")
+        return _untested("not checked: several records were identified in one fit"), (), None
     progress("checking controllers and torques")
     try:
         found = diagnose_robot(fit, fit.records)
     except FAILS as error:
-        return _left_out(f"not checked: {error}")
+        return _untested(f"not checked: {error}"), (), None
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, found.cause.words)]
     if bad := [joint.name for joint in found.axes if not joint.explained]:
         said = f"what the model leaves of the torque of {join(bad)} is no noise"
@@ -264,7 +264,7 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
         checks += _fail(*failed)
     elif part.has_controllers and unseen:
         said = f"the controller of {join(unseen)} was not checked, which needs a logged torque, position and reference"
-        checks += (skip_test(Subject.LOOP, said, unseen if len(unseen) < len(found.axes) else ()),)
+        checks += _untested(said, {"axes": unseen} if len(unseen) < len(found.axes) else None)
     elif part.has_controllers:
         said = "the declared controllers make the logged torques of the positions"
         checks += checks_of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said))

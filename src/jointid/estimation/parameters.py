@@ -111,7 +111,13 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
     if symbol in ("integral_gain", "time_constant") and value == 0.0:
         raise MethodError(f"The {name} of this controller is 0, so it has no such part; declare a start above 0.")
     timed = symbol.endswith(("delay", "time_constant"))
-    lower, upper = _range(symbol, value, period)
+    lower, upper = {"constant_feedforward": -math.inf, "numerator_damping": -1.0 + _SMALL}.get(symbol, 0.0), math.inf
+    if symbol in ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency"):
+        lower = _SMALL * value
+    if period is not None and symbol.endswith("frequency"):
+        upper = max((0.5 - _ROOM) / period, value)
+    elif period is not None and symbol == "reference_delay":
+        upper = max((1.0 - _ROOM) * LONGEST_DELAY * period, value)
     quantity = Quantity.TIME if timed else Quantity.GAIN
     return Parameter(name, symbol, quantity, start=value, lower=lower, upper=upper)
 
@@ -125,19 +131,6 @@ def log_delay(known: float | None, sample_time: float, *, stated: bool = True) -
     late, start = sample_time * (20.0 if known is None else 2.0), known or 0.0
     free = replace(LOG_DELAY, free=True, start=start, lower=start - late, upper=start + late)
     return free if known is None or not stated else free.fix(known)
-
-
-def _range(symbol: str, value: float, period: float | None) -> tuple[float, float]:
-    """Return the bounds of a number of a law."""
-    lower = {"constant_feedforward": -math.inf, "numerator_damping": -1.0 + _SMALL}.get(symbol, 0.0)
-    if symbol in ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency"):
-        lower = _SMALL * value
-    upper = math.inf
-    if period is not None and symbol.endswith("frequency"):
-        upper = max((0.5 - _ROOM) / period, value)
-    elif period is not None and symbol == "reference_delay":
-        upper = max((1.0 - _ROOM) * LONGEST_DELAY * period, value)
-    return lower, upper
 
 
 def of_law(name: str) -> bool:

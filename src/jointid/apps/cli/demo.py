@@ -88,7 +88,6 @@ def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
     figures.save(figures.torque(estimate), folder / "torque.png")
     if estimate.robot is not None:
         values = estimate.robot.parameters_of(truth)
-        assert values is not None
         truth = dict(zip(estimate.robot.names, values.tolist(), strict=True))
     return Document(str(estimate.answer), (parameters_table(estimate, details=False, truth=truth),)).text()
 

@@ -124,11 +124,6 @@ def checks_of(name: Subject, passed: bool | None, *said: Message) -> tuple[Check
     return tuple(Check(one.code, one.words, one.values, one.clause, name=name, passed=passed) for one in said)
 
 
-def skip_test(name: Subject, why: str, axes: Sequence[str] = ()) -> Check:
-    """Check that was not tested, or not for some axes, with reason."""
-    return check_of(name, None, Reason.NOT_TESTED, why, {"axes": list(axes)} if axes else None)
-
-
 @dataclass(frozen=True, slots=True)
 class StiffnessBound:
     """The softest admissible spring at one load share.
@@ -246,7 +241,7 @@ def _check_bounds(estimate: Estimate) -> Check:
 
 def residual_checks(white: Whiteness | None, repeats: Repeatable) -> tuple[Check, Check]:
     """Checks of whiteness (None: too few rows) and of the repeatable residual."""
-    coloured = skip_test(Subject.WHITENESS, "too few rows to say")
+    coloured = check_of(Subject.WHITENESS, None, Reason.NOT_TESTED, "too few rows to say")
     if white is not None:
         coloured = check_of(Subject.WHITENESS, white.white, Reason.RESIDUAL_COLOURED, str(white), asdict(white))
     once = None if repeats.p_value is None else not repeats.significant

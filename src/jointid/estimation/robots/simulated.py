@@ -13,9 +13,9 @@ from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, find_active_bounds
 from jointid.estimation.descent import Solved
 from jointid.estimation.methods import Method
-from jointid.estimation.parameters import Parameters, begin_delays, robot_parameters, with_delays
-from jointid.estimation.problems.inverse_model import require_one_log
-from jointid.estimation.problems.simulated import pose_robot
+from jointid.estimation.parameters import Parameters, begin_delays, with_delays
+from jointid.estimation.problems.inverse_model import Records, require_one_log
+from jointid.estimation.problems.simulated import Simulated, pose_robot
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter, Settings, build_estimate
 from jointid.estimation.robots.didim import RobotFit, conclude, search_robot
 from jointid.models.robots.robot import Robot, RobotLoop
@@ -65,20 +65,6 @@ class IdentifiedRobot:
         """Numbers of the identified robot, for simulation."""
         return self.parameters.numbers(self.values)
 
-    def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Columns of motor torques without deflection, (samples, n, parameters).
-
-        Args:
-            q: (samples, n) positions of the joints, rad or m.
-            v: (samples, n) their velocities.
-            a: (samples, n) their accelerations.
-
-        Raises:
-            MethodError: a friction is not linear in its parameters.
-        """
-        self.model.require_linear("A regressor takes", "simulate the robot")
-        return self.parameters.columns(self.model, q, v, a, self.numbers())
-
     def robot(self) -> Robot:
         """The identified robot, for simulations with the same torques.
 
@@ -89,10 +75,8 @@ class IdentifiedRobot:
         """
         return robot_with(self.model, self.numbers())
 
-    def parameters_of(self, robot: Robot) -> FloatArray | None:
-        """The same parameters of a known robot; None if it has others."""
-        if robot.flexible != self.model.flexible:
-            return None
+    def parameters_of(self, robot: Robot) -> FloatArray:
+        """The same parameters of a known robot, whose flexible joints are the same."""
         return self.parameters.group(Numbers.of(robot))
 
 
@@ -122,8 +106,8 @@ def identify_simulated_robot(
         model = at_estimate(model, parameters, fit.values)
         read = "motor positions" if any(record.computed for record in records) else "torques"
         variant = f"DIDIM of a robot, from {read} and references alone"
-    problem = pose_robot(model, logs, robot_parameters(robot), filtering)
     part, fixed = IdentifiedRobot(model, parameters, fit.values), len(fit.values) - len(fit.x)
+    problem = _pose_again(part, logs, filtering)
     numbers = part.numbers()
     late = numbers.values[0].get(LOG_DELAY)
     steps = f"after {fit.iterations} simulations"
@@ -144,9 +128,7 @@ def identify_simulated_robot(
         robot=part, nominal=problem.left_by(nominal_numbers(robot, numbers)),
         warnings=(_WITHOUT,) if fit.springs and len(hidden) == len(fit.springs) else (),
     )  # fmt: skip
-    if len(logs) > 1:
-        return result
-    return replace(result, solved=replace(fit, problem=replace(problem, parameters=parameters)))
+    return result if len(logs) > 1 else replace(result, solved=replace(fit, problem=problem))
 
 
 def at_estimate(loop: RobotLoop, parameters: Parameters, values: FloatArray) -> RobotLoop:
@@ -191,6 +173,11 @@ def nominal_numbers(robot: Robot, found: Numbers) -> Numbers:
     return replace(numbers, values=tuple(values))
 
 
+def _pose_again(part: IdentifiedRobot, records: Records, filtering: Filtering | None) -> Simulated:
+    """Problem of an identified robot, whose parameters include those of the records."""
+    return replace(pose_robot(part.setup, records, part.parameters, filtering), parameters=part.parameters)
+
+
 def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Filtering | None) -> RobotFit:
     """Fit of an identified robot to its own records, without a search.
 
@@ -198,7 +185,5 @@ def solve_again(part: IdentifiedRobot, records: Sequence[Record], filtering: Fil
         RecordError, MethodError: as of the identification; or the robot cannot be simulated.
     """
     require_one_log(records)
-    found = pose_robot(part.setup, records, part.parameters, filtering)
-    problem = replace(found, parameters=part.parameters)  # with those of the record
-    x = part.parameters.to_search_variables(part.values)
+    problem, x = _pose_again(part, records, filtering), part.parameters.to_search_variables(part.values)
     return conclude(Solved(problem, solve(problem, LevenbergMarquardt(evaluations=1), x)), 0)
