@@ -69,12 +69,12 @@ def test_the_loop_of_a_refused_spring_is_checked_along_the_motor_position(unseen
     record, estimate = unseen
     loop = estimate.settings.loop
     wrong = replace(loop, controller=replace(loop.controller, gain=0.8 * loop.controller.gain))
-    assert check_without_joint(record, loop).passed
-    verdict = check_without_joint(record, wrong)
+    assert check_without_joint(record, loop)[0].passed
+    (verdict,) = check_without_joint(record, wrong)
     assert (verdict.passed, verdict.code) == (False, "law_scaled") and "the torque is 1.25" in verdict.words
     assert told_bounds(estimate) == estimate.bounds
     assert told_bounds(replace(estimate, checks=(*estimate.checks[:-1], verdict))) == ()
-    unchecked = check_without_joint(record.without("motor_position"), wrong)
+    (unchecked,) = check_without_joint(record.without("motor_position"), wrong)
     assert unchecked.passed is None
 
 

@@ -262,10 +262,10 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
     unseen = [joint.name for joint in found.axes if joint.law_holds is None]
     if failed:
         checks += _fail(*failed)
-    elif part.has_controllers and unseen:
+    elif hasattr(part.setup, "controllers") and unseen:
         said = f"the controller of {join(unseen)} was not checked, which needs a logged torque, position and reference"
         checks += _untested(said, {"axes": unseen} if len(unseen) < len(found.axes) else None)
-    elif part.has_controllers:
+    elif hasattr(part.setup, "controllers"):
         said = "the declared controllers make the logged torques of the positions"
         checks += checks_of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said))
     return checks, _widen(fit, found), found
@@ -307,7 +307,7 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     scales: FloatArray | float = 1.0
     if fit.problem is not None and fit.x is not None:
         names, log, (run,) = [p.name for p in fit.problem.free], fit.problem.log, fit.problem.run(fit.x)
-    elif part is not None and part.has_controllers and fit.solved is not None:
+    elif part is not None and hasattr(part.setup, "controllers") and fit.solved is not None:
         names, log, (run,) = [*part.parameters.names], fit.solved.problem.log, fit.solved.runs
         scales = np.where(part.parameters.logarithmic, part.values[: len(part.parameters.places)], 1.0)
     tried = list[Element]()

@@ -110,7 +110,6 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
         raise MethodError(f"The {name} of this controller is {value}, where no search can begin; declare a finite one.")
     if symbol in ("integral_gain", "time_constant") and value == 0.0:
         raise MethodError(f"The {name} of this controller is 0, so it has no such part; declare a start above 0.")
-    timed = symbol.endswith(("delay", "time_constant"))
     lower, upper = {"constant_feedforward": -math.inf, "numerator_damping": -1.0 + _SMALL}.get(symbol, 0.0), math.inf
     if symbol in ("gain", "limit", "velocity_limit", "frequency", "bandwidth", "damping", "numerator_frequency"):
         lower = _SMALL * value
@@ -118,7 +117,7 @@ def surrounding(name: str, controller: Controller, period: float | None = None) 
         upper = max((0.5 - _ROOM) / period, value)
     elif period is not None and symbol == "reference_delay":
         upper = max((1.0 - _ROOM) * LONGEST_DELAY * period, value)
-    quantity = Quantity.TIME if timed else Quantity.GAIN
+    quantity = Quantity.TIME if symbol.endswith(("delay", "time_constant")) else Quantity.GAIN
     return Parameter(name, symbol, quantity, start=value, lower=lower, upper=upper)
 
 

@@ -64,7 +64,7 @@ def restore_estimate(answer: dict[str, Any], system: RobotSystem | Joint, loop: 
             loop = replace(loop, controller=with_numbers(loop.controller, {name: freed[name] for name in of_law}))
     else:
         robot = system.robot
-        part = _restore_robot(answer, system, robot, rows)
+        part = _restore_robot(answer, system, rows)
         if [*fit["axis_errors"]] != [*robot.names]:
             raise ValueError
     shares = {name: _share(fit[name]) for name in ("relative_error", "filtered_error")}
@@ -96,15 +96,13 @@ def _share(value: object) -> float:
     return math.inf if value is None else finite(value)
 
 
-def _restore_robot(
-    answer: dict[str, Any], system: RobotSystem, robot: Robot, rows: dict[str, EstimatedParameter]
-) -> IdentifiedRobot:
+def _restore_robot(answer: dict[str, Any], system: RobotSystem, rows: dict[str, EstimatedParameter]) -> IdentifiedRobot:
     """Robot of a document with known geometry, which must give equal sums.
 
     Raises:
         RecordError: it is another one, has no controllers where they are needed, or a value is refused.
     """
-    settings = answer["settings"]
+    settings, robot = answer["settings"], system.robot
     simulates = method_of(settings["method"]).simulates
     setup: RobotSystem = RobotDriveSide(robot)
     if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):

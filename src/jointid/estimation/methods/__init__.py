@@ -112,6 +112,8 @@ class Method(Protocol):
     @classmethod
     def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
         """Names of its channels; for an unknown controller, only the reference."""
+        if not cls.simulates and model == "flexible":
+            return "torque", "motor_position", "load_position"
         if cls.simulates != "loop":
             return "torque", "motor_position"
         return ("torque", *(("reference",) if controller is None else controller.channels))

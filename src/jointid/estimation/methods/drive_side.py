@@ -124,8 +124,7 @@ class DriveSideFit(Method):
             MethodError: no start gives a joint with positive inertias.
         """
         records, setup, history = (task.record, *task.others), DriveSide(task.joint), History(task.progress)
-        for record in records:
-            record.require(("torque", "motor_position"), "Drive-side identification")
+        task.record.require(("torque", "motor_position"), "Drive-side identification")
         torque: Any = task.record.torque
         delay = log_delay(self.log_delay, torque.sample_time, stated=torque.stated)
         problem = motion_problem(records, setup, task.filtering, task.parameters, delay)

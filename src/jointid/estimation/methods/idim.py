@@ -43,7 +43,6 @@ from jointid.estimation.problems.simulated import require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, build_rows
 from jointid.estimation.result.verdict import Check, Reason, Subject, check_of
 from jointid.estimation.robots.simulated import IdentifiedRobot, rows_of_robot
-from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
@@ -82,11 +81,6 @@ class IDIM(Method):
         "of a joint, else weighted",
     )
 
-    @classmethod
-    def channels(cls, model: str, controller: Controller | None = None) -> tuple[str, ...]:
-        """Torque and motor position; also load position for a flexible joint."""
-        return "torque", *POSITIONS[: 1 + (model == "flexible")]
-
     def identify(self, task: Task) -> Estimate:
         """Identify a joint from torque, motor position and, if flexible, load position.
 
@@ -98,8 +92,7 @@ class IDIM(Method):
             MethodError: the record does not determine the parameters, or instruments have no loop to come from.
         """
         record, joint, loop = task.record, task.joint, task.loop
-        for one in (record, *task.others):
-            one.require(("torque",), "IDIM")
+        record.require(("torque",), "IDIM")
         assert record.torque is not None
         require_free(task.parameters)
         delay = loop.controller.law(record.torque.sample_time).delay if loop else 0.0

@@ -232,10 +232,8 @@ class Payload(Documented):
     def to_document(self, *, details: bool = False) -> Document:
         """Mass and centre first, then each number; there are no further details."""
         del details
-        lines = [
-            (name, interval(float(row["value"]), INTERVAL * float(row["std"])), str(row["unit"]))
-            for name, row in self.rows.items()
-        ]
+        each = zip(_ROWS, *self.properties, strict=True)
+        lines = [(name, interval(value, INTERVAL * std), unit) for (name, unit), value, std in each]
         at = ", ".join(number(float(one), 3) for one in self.properties[0][1:4])
         first = f"The payload weighs {lines[0][1]} kg, 2 sigma, with its centre at ({at}) m of {self.link}."
         said = "" if self.possible else "No body has just these numbers; those that are not known may be far off."

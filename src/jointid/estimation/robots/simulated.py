@@ -56,11 +56,6 @@ class IdentifiedRobot:
         """Names of the parameters, the fixed ones last."""
         return self.parameters.names
 
-    @property
-    def has_controllers(self) -> bool:
-        """True if the robot was identified under its controllers."""
-        return hasattr(self.setup, "controllers")
-
     def numbers(self) -> Numbers:
         """Numbers of the identified robot, for simulation."""
         return self.parameters.numbers(self.values)
