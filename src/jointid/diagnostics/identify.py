@@ -97,9 +97,9 @@ def identify(
             added to the load, kg or kg m2. "own": for each record names of parameters of its own, as of friction that a
             load changes. "free": names of identified numbers around the joint: "drive_gain", which needs an
             added inertia, "position_gain", "log_delay", ...
-        windows: seconds of the windows of a log. With it a joint's record in memory is identified in windows, too, by
-            DIDIM. One that may take too much memory at once is identified in windows without it, of which one is
-            checked. False identifies it at once.
+        windows: seconds of the windows of a log. With it records in memory are identified in windows, too, of a joint
+            or robot by DIDIM. Those that may take too much memory at once are identified in windows without it, of
+            which one is checked. False identifies them at once.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. Without them, the verdict on the loop says so.
         progress: called with each step in a sentence.

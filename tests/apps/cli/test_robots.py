@@ -122,7 +122,6 @@ def test_payload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ("identify", "--window", "2"),
         ("identify", "--record", "a.csv", "--record", "b.csv", "--figure", "a.png"),
         ("simulate", "--identified", "--axis", "none"),
         ("tune",),

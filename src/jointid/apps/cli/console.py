@@ -170,7 +170,8 @@ class Options:
 
         listed = len(self.records) > 1 or file.source.parts or (file.runs and not self.records)
         together = several and window is None and bool(listed)
-        record: Any = None if together else file.record(self.record) if window is None else file.log(self.record)
+        read = file.record if window is None or file.robot is not None else file.log  # a robot's log is cut in memory
+        record: Any = None if together else read(self.record)
         if whole and windows_of(record, file.setup, file.method):
             raise MethodError(IN_WINDOWS)
         try:

@@ -30,8 +30,8 @@ def identify(
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
-        window: seconds of a window; identify a log that is too long for memory in windows, and test for drift; its
-            format must have consecutive rows.
+        window: seconds of a window; identify a log that is too long for memory in windows, and test for drift; a
+            joint's is read in chunks, from a format with consecutive rows.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         no_checks: leave out the checks; the answer then says so.
@@ -40,11 +40,10 @@ def identify(
     from jointid.estimation.result.estimate import IN_WINDOWS
 
     figures.require_format(figure)
-    several = len(options.records) > 1
-    file = options.load(joint, figure, alone=window is not None or (several and figure is not None))
+    file = options.load(joint, figure, alone=len(options.records) > 1 and figure is not None)
     if window is not None and figure is not None:
         raise MethodError(IN_WINDOWS)
-    if figure is not None and (several or file.runs or file.source.parts):
+    if figure is not None and (len(options.records) > 1 or file.runs or file.source.parts):
         options = replace(options, again=True)  # the torque of several records is not kept
     shown = list[Any]()
     record, found = options.identify(
