@@ -16,7 +16,6 @@ from jointid.estimation.pieces import WindowsOfLog, begin_window
 from jointid.estimation.problems.simulated import LoopLog, torque_problem
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import PD, Cascade
-from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.records.chunks import InMemory, Log, cut
 from jointid.records.formats import Table, write_table
 from jointid.records.record import Channel, Record
@@ -59,19 +58,6 @@ def test_windows_say_what_the_whole_says() -> None:
         assert abs(parts[name].value - truth) <= 3.5 * std, name
         assert 0.4 <= parts[name].stderr / std <= 2.5, name
     assert parts.fit.filtered_error == pytest.approx(whole.fit.filtered_error, rel=0.02)
-
-
-@pytest.mark.slow
-def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
-    loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])
-    reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, PERIOD, duration=600.0)
-    force = 30.0 * np.random.default_rng(5).standard_normal(reference.size)
-    record = simulated_record(loop, reference, TABLE_2, sample_time=PERIOD, disturbance=force)
-    method = ji.DIDIM(frequency=30.0)
-    whole, parts = identify(record, loop, method), identify(record, loop, windows=15.0, method=method)
-    for name in TABLE_2:
-        std = whole[name].stderr
-        assert abs(parts[name].value - whole[name].value) <= 0.35 * std, name
 
 
 def stored(path: Path, record: Record) -> Log:

@@ -26,7 +26,7 @@ from jointid.estimation.result.verdict import Reason, Subject, check_of, scale_c
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import check_record, find_encoder_lag, find_record_warnings, range_faults, scale_faults
-from jointid.records.chunks import LongRecord, cut
+from jointid.records.chunks import InMemory, LongRecord, cut
 from jointid.records.record import CHANNELS, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.controller_torque import compute_controller_torque
@@ -129,7 +129,8 @@ def fit(
     def fit_alone(records: Sequence[Record], _: bool = False) -> Estimate:
         return identify_record(records[0], model, method, filtering, known, progress)
 
-    found = fit_alone(read) if windows is None else identify_windows(read or log, model, fit_alone, windows, progress)
+    logs = [InMemory(one) for one in read] or log
+    found = fit_alone(read) if windows is None else identify_windows(logs, model, fit_alone, windows, progress)
     return state_scale(state_timing(found, read), read)
 
 
@@ -202,7 +203,7 @@ def _fit_robot(
     if windows is None:
         found = method.identify_robot(model, logs, filtering, known, progress)
     else:
-        found = identify_windows(read or record, model, fit_alone, windows, progress)
+        found = identify_windows([InMemory(one) for one in read] or record, model, fit_alone, windows, progress)
     notes = dict[str, dict[str, None]]()
     for name, one in (pair for log in logs for pair in zip(robot.names, log, strict=False)):
         for note in find_record_warnings(one, one.channels):

@@ -53,7 +53,7 @@ from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import RobotLoop
-from jointid.records.chunks import Chunk, InMemory, LongRecord
+from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import Channel, Record
 from jointid.records.resampling import period_ratio
 from jointid.simulation.simulate import Outcome
@@ -651,12 +651,12 @@ def _commanded(problem: Simulated) -> tuple[FloatArray, FloatArray]:
 
 
 def identify_windows(
-    records: Sequence[Record | LongRecord], loop: Any, fit: FitWindow, window: float, progress: Progress
+    logs: Sequence[LongRecord], loop: Any, fit: FitWindow, window: float, progress: Progress
 ) -> Estimate:
     """Estimate a joint or a robot from a long log in windows; see `jointid.identify`.
 
     Args:
-        records: of the joint, or of each joint of the robot, in memory or to be read.
+        logs: of the joint, or of each joint of the robot.
         loop: that is simulated.
         fit: of one window.
         window: its length, s.
@@ -665,7 +665,6 @@ def identify_windows(
     Raises:
         RecordError, MethodError: no window by itself identifies the joint, or one cannot be simulated.
     """
-    logs = [InMemory(one) if isinstance(one, Record) else one for one in records]
     sample_time = logs[0].sample_time
     # Whole rows, so that all windows keep the same samples, and whole periods of controllers that are slower than the
     # log: the first of a law is at a window's first sample.

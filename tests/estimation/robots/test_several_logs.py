@@ -66,6 +66,3 @@ def test_a_long_log_in_windows_says_what_the_whole_says(hertz: Any, monkeypatch:
         assert abs(parts[name].value - row.value) < 0.7 * row.stderr, name
         assert 0.5 < parts[name].stderr / row.stderr < 2.5, name
     assert parts.robot.setup == twin.loop() and parts.answer.reliable
-    monkeypatch.setattr("jointid.estimation.pieces.moves", lambda _: False)
-    with pytest.raises(ji.MethodError):
-        ji.identify(log, twin.loop(), windows=4.0)
