@@ -47,22 +47,21 @@ def test_idim_takes_from_each_log_what_it_tells(estimator: Any) -> None:
 def test_each_of_several_logs_is_an_own_one(model: Any) -> None:
     found = ji.identify(LOGS, model, checks=False)
     for log in LOGS:
-        own = ji.validate(found, log)
-        assert own.answer.code is Prediction.OWN_RECORD and own.nominal_error is None
+        assert (own := ji.validate(found, log)).answer.code is Prediction.OWN_RECORD and own.nominal_error is None
 
 
 @pytest.mark.parametrize("hertz", [(None, None), pytest.param((12.0, 15.0), marks=pytest.mark.slow)])
 def test_a_long_log_in_windows_says_what_the_whole_says(hertz: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """All windows but the first begin in motion; a log that is long for memory goes in windows by itself."""
-    twin, flexible = two(hertz), hertz[0] is not None
-    log = recorded(twin.loop(), twin.records(20.0, multisine=0.004 * flexible), 0.01, 1)[0]
-    whole = ji.identify(log, twin.loop(), checks=False)
+    loop = two(hertz).loop()
+    log = recorded(loop, two(hertz).records(20.0, multisine=0.004), 0.01, 1)[0]
+    whole = ji.identify(log, loop, checks=False)
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", 2 * 20_000 - 1)
     monkeypatch.setattr("jointid.estimation.identify.WINDOW", 4000)
-    parts = ji.identify(log, twin.loop())
-    assert whole.data.windows is None and parts.data.windows is not None and parts.data.windows.count == 5
+    parts = ji.identify(log, loop)
+    assert parts.data.windows is not None and parts.data.windows.count == 5
     assert parts.fit.axis_errors == pytest.approx(whole.fit.axis_errors, rel=0.05)
     for name, row in whole.parameters.items():
         assert abs(parts[name].value - row.value) < 0.7 * row.stderr, name
         assert 0.5 < parts[name].stderr / row.stderr < 2.5, name
-    assert parts.robot.setup == twin.loop() and parts.answer.reliable
+    assert parts.robot.setup == loop and parts.answer.reliable
