@@ -20,7 +20,7 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.diagnosis import Diagnosis
-from jointid.estimation.robots.bodies import mass_matrix_at
+from jointid.estimation.parameters import mass_matrix_at
 from jointid.models.controllers import PD
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint, RobotLoop
@@ -118,7 +118,8 @@ def follow(robot: Robot, asked: FloatArray, limit: float) -> tuple[FloatArray, F
     t = np.arange(len(asked))[:, np.newaxis] * _STEP
     x = np.clip(t / 0.5, 0.0, 1.0)
     asked = asked[0] + (asked - asked[0]) * x**3 * (10 - 15 * x + 6 * x * x)
-    felt = np.diag(mass_matrix_at(robot, np.zeros(len(robot))))
+    links = mass_matrix_at(robot.tree, robot.inertials, np.zeros(len(robot)))
+    felt = np.diag(links) + robot.of_joints("rotor_inertia")
     w = 2 * np.pi * 8.0
     drives = tuple(Record(reference=Channel(one, "rad", _STEP)) for one in asked.T)
 
@@ -207,7 +208,7 @@ def _coupled(robot: Robot, seed: int) -> Truth:
 
 def _elastic(robot: Robot, seed: int) -> Truth:
     rotor = robot.joints[1].rotor_inertia
-    inertia = mass_matrix_at(robot, np.zeros(len(robot)))[1, 1] - rotor
+    inertia = mass_matrix_at(robot.tree, robot.inertials, np.zeros(len(robot)))[1, 1]
     held = inertia * rotor / (inertia + rotor)
     return Truth(_with_joint(robot, 1, spring=JointSpring(held * (2 * np.pi * 14.0) ** 2)), declared(robot, seed))
 

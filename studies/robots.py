@@ -19,8 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.estimation.problems.simulated import decimate_each, pose_robot
-from jointid.estimation.robots.bodies import mass_matrix_at
+from jointid.estimation.parameters import mass_matrix_at
+from jointid.estimation.problems.inverse_model import decimate_each
+from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
@@ -67,7 +68,8 @@ def drives(seed: int, flexible: bool) -> Drives | None:
     home = np.where(revolute, random.uniform(-1.5, 1.5, n), random.uniform(-0.2, 0.2, n))
     q = home + _motion(t, random, travel)
     poses = q[:: t.size // _POSES]
-    masses = np.array([mass_matrix_at(robot, pose) for pose in poses])
+    rotors = np.diag(robot.of_joints("rotor_inertia"))
+    masses = np.array([mass_matrix_at(robot.tree, robot.inertials, pose) + rotors for pose in poses])
     about = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
     # What a motor feels where the other joints give way is less than where they hold: gains are for what lies between.
     felt = np.sqrt(about / np.max(np.diagonal(np.linalg.inv(masses), axis1=1, axis2=2), axis=0))
@@ -122,7 +124,7 @@ def _rigid(random: np.random.Generator, n: int) -> Robot:
         joints.append(RobotJoint(f"joint{i + 1}", rotor_inertia=1.0))
     bare = Robot(tuple(links), tuple(joints), name="random")
     poses = random.uniform(-1.5, 1.5, (_POSES, n))
-    about = np.mean([np.diag(mass_matrix_at(bare, pose)) - 1.0 for pose in poses], axis=0)
+    about = np.mean([np.diag(mass_matrix_at(bare.tree, bare.inertials, pose)) for pose in poses], axis=0)
     made = []
     for i, inertia in enumerate(about):
         rotor = inertia * random.uniform(0.3, 2.0)

@@ -487,7 +487,7 @@ def begin_window(like: Any, loop: ClosedLoop | RobotLoop, records: Sequence[Reco
     """
     log = loop_log(loop, records, "rigid", like.filtering)  # which is resolved, for any model
     experiment, problem = log.experiment, replace(like, logs=(log,))
-    speeds = wrong * np.std(np.diff(log.poses, axis=0), axis=0) / float(np.sum(experiment.clock.lengths))
+    speeds = wrong * np.std(np.diff(log.poses, axis=0), axis=0) / log.sample_time
     if log.tree is not None:
         v, a = np.array([axis.reference_motion for axis in experiment.axes]).T
         return problem.with_log(experiment=replace(experiment, speeds=v + speeds, accelerations=a.copy()))
@@ -646,7 +646,7 @@ def chunks_of(logs: Sequence[LongRecord], length: int, overlap: int) -> Iterator
 
 def _commanded(problem: Simulated) -> tuple[FloatArray, FloatArray]:
     """Return the references of a window and their velocities, (samples, n) each."""
-    position = problem.log.poses
+    position: FloatArray = problem.log.poses
     return position, np.gradient(position, problem.sample_time, axis=0)
 
 

@@ -421,9 +421,8 @@ class Estimate(Documented):
             raise MethodError(f"Position, velocity and acceleration have one shape, {expected}; received {received}.")
         rows = [one.reshape(-1, *axes) for one in motion]
         if self.robot is not None:
-            part, kept = self.robot, [self.robot.names.index(name) for name in self.values]
-            part.model.require_linear("A regressor takes", "simulate the robot")
-            columns = part.parameters.columns(part.model, rows[0], rows[1], rows[2], part.numbers())[:, :, kept]
+            kept = [self.robot.names.index(name) for name in self.values]
+            columns = self.robot.regressor(*rows)[:, :, kept]
         else:
             moved, joint = Motion(*rows), self.settings.joint
             columns = joint.regressor(moved, moved).sum(axis=0)

@@ -60,6 +60,20 @@ class IdentifiedRobot:
         """Numbers of the identified robot, for simulation."""
         return self.parameters.numbers(self.values)
 
+    def regressor(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Columns of motor torques without deflection, (samples, n, parameters).
+
+        Args:
+            q: (samples, n) positions of the joints, rad or m.
+            v: (samples, n) their velocities.
+            a: (samples, n) their accelerations.
+
+        Raises:
+            MethodError: a friction is not linear in its parameters.
+        """
+        self.model.require_linear("A regressor takes", "simulate the robot")
+        return self.parameters.columns(self.model, q, v, a, self.numbers())
+
     def robot(self) -> Robot:
         """The identified robot, for simulations with the same torques.
 
