@@ -263,8 +263,7 @@ def simulate_columns(
             size, positions = len(motion.q), motion_at(run, experiment.clock.log_index).position[: len(motion.q)]
             whole = np.pad(positions, ((0, size - len(positions)), (0, 0)), "edge")
             q, v, a = filter_motion(whole, motion.sample_time, motion.filtering)
-            moved = replace(motion, q=q, v=v, a=a)
-            each.append(inverse.columns(turn(inverse.system, moved)))
+            each.append(inverse.columns(turn(inverse.system, replace(motion, q=q, v=v, a=a))))
         return inverse.rows(motions, each).W
 
     return instruments
