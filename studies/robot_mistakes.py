@@ -118,8 +118,7 @@ def follow(robot: Robot, asked: FloatArray, limit: float) -> tuple[FloatArray, F
     t = np.arange(len(asked))[:, np.newaxis] * _STEP
     x = np.clip(t / 0.5, 0.0, 1.0)
     asked = asked[0] + (asked - asked[0]) * x**3 * (10 - 15 * x + 6 * x * x)
-    links = mass_matrix_at(robot.tree, robot.inertials, np.zeros(len(robot)))
-    felt = np.diag(links) + robot.of_joints("rotor_inertia")
+    felt = np.diag(mass_matrix_at(robot.tree, robot.inertials, np.zeros(len(robot)))) + robot.of_joints("rotor_inertia")
     w = 2 * np.pi * 8.0
     drives = tuple(Record(reference=Channel(one, "rad", _STEP)) for one in asked.T)
 

@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.parameters import mass_matrix_at
-from jointid.estimation.problems.inverse_model import decimate_each
 from jointid.estimation.problems.simulated import pose_robot
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.controllers import PD, PID, Cascade
@@ -67,9 +66,8 @@ def drives(seed: int, flexible: bool) -> Drives | None:
     travel = np.where(revolute, random.uniform(0.5, 1.6, n), random.uniform(0.15, 0.5, n))
     home = np.where(revolute, random.uniform(-1.5, 1.5, n), random.uniform(-0.2, 0.2, n))
     q = home + _motion(t, random, travel)
-    poses = q[:: t.size // _POSES]
-    rotors = np.diag(robot.of_joints("rotor_inertia"))
-    masses = np.array([mass_matrix_at(robot.tree, robot.inertials, pose) + rotors for pose in poses])
+    links = [mass_matrix_at(robot.tree, robot.inertials, pose) for pose in q[:: t.size // _POSES]]
+    masses = np.array(links) + np.diag(robot.of_joints("rotor_inertia"))
     about = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
     # What a motor feels where the other joints give way is less than where they hold: gains are for what lies between.
     felt = np.sqrt(about / np.max(np.diagonal(np.linalg.inv(masses), axis1=1, axis2=2), axis=0))
@@ -234,6 +232,6 @@ def judge(seed: int, flexible: bool) -> Found | None:
 def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
     problem = pose_robot(made.loop, made.records, fit.parameters)
-    noise = problem.by_joint(decimate_each(problem.log, list(made.noise[: len(problem.measured)].T)))
+    noise = [problem.log.decimate_joint(j, one) for j, one in enumerate(made.noise[: len(problem.measured)].T)]
     left = problem.left_by(fit.problem.numbers(fit.x)) * problem.sizes
     return float(np.max(left / np.linalg.norm(noise, axis=1)))
