@@ -25,6 +25,8 @@ TRUE = {
     "motor_inertia": 0.012, "motor_viscous": 0.2, "motor_coulomb": 0.25, "stiffness": 900.0, "damping": 0.25,
     "load_inertia": 0.03, "load_viscous": 0.5, "load_coulomb": 0.35, "offset": 0.05,
 }  # fmt: skip
+DECLARED = {"velocity_filter": (0.5, 0.5), "torque_filters": (FirstOrder(2e-4),), "delay": 1.25e-4}
+LOSSY = ji.ClosedLoop(replace(JOINT, friction=ji.friction.Friction("load-dependent")), replace(LAW, **DECLARED))
 UNSPOILT = SimpleNamespace(faults=SimpleNamespace(findings=()))
 
 
@@ -43,8 +45,8 @@ def logged(hidden=0.0, seed=0, noise=0.03, given=None, truth=TRUE):
 def widened(record, law=LAW):
     """Return error, deviation, and the widened one of each parameter of the axis, and the widening."""
     found = fit(record, ji.ClosedLoop(JOINT, law), ji.DIDIM(frequency=50.0))
-    solved = found.problem, found.x
-    wider = [*widen_for_undeclared(found, SimpleNamespace(torques=torques_of_loop(*solved), axes=[UNSPOILT]))]
+    torques = torques_of_loop(found.problem, found.x)
+    wider = [*widen_for_undeclared(found, SimpleNamespace(torques=torques, axes=[UNSPOILT]))]
     rows = {row.name: row for row in found.rows if row.name in TRUE}
     moved = {name: max((abs(by[name]) for by, _ in wider), default=0.0) for name in rows}
     return {
@@ -59,16 +61,20 @@ def test_an_interval_holds_a_spring_that_is_hardly_seen_not_to_be_linear():
     assert abs(row.value - TRUE["stiffness"]) < 2 * row.deviation
 
 
-def test_intervals_hold_what_a_hidden_velocity_filter_moves():
-    found, wider = widened(logged(0.5e-3))
+@pytest.mark.parametrize(("log", "law", "what"), [
+    (lambda: logged(0.5e-3), LAW, "velocity filter of up to"),
+    (lambda: logged(0.0, 0, 0.005, LOSSY, TRUE | {"load_friction_per_torque": 0.1}), LOSSY.controller, "load's torque"),
+])  # fmt: skip
+def test_intervals_hold_what_a_hidden_filter_and_a_loss_of_the_gear_move(log, law, what):
+    found, wider = widened(record := log(), law)
     assert max(error / std for error, std, _ in found.values()) > 3
     assert all(error < 2 * wide for error, _, wide in found.values())
-    assert any("velocity filter" in one and "viscous by" in one for _, one in wider)
+    assert any(what in one and "coulomb by" in one for _, one in wider)
+    assert widened(record, replace(law, undeclared="none"))[1] == []
 
 
-def test_what_the_record_excludes_or_the_controller_denies_widens_nothing():
+def test_what_the_record_excludes_widens_nothing():
     assert all(wide < 1.3 * std for _, std, wide in widened(logged())[0].values())
-    assert widened(logged(0.5e-3), replace(LAW, undeclared="none"))[1] == []
 
 
 def test_a_signal_that_is_added_to_the_output_is_as_late_as_that():
@@ -91,12 +97,10 @@ def test_an_injected_signal_of_another_size_is_named():
     assert 1.1 * (1.0 + found.test.size) == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "declared", [{"velocity_filter": (0.5, 0.5)}, {"torque_filters": (FirstOrder(1e-3),)}, {"delay": 1e-4}]
-)
-def test_what_is_declared_is_not_tried(declared):
-    names = {fault.name for fault, *_ in list_undeclared(replace(LAW, **declared), 1e-3)}
-    assert names == {"velocity_filter", "torque_filter", "delay"} - {next(iter(declared)).replace("filters", "filter")}
+@pytest.mark.parametrize("name", DECLARED)
+def test_what_is_declared_is_not_tried(name):
+    names = {fault.name for fault, *_ in list_undeclared(replace(LAW, **{name: DECLARED[name]}), 1e-3)}
+    assert names == {"velocity_filter", "torque_filter", "delay"} - {name.replace("filters", "filter")}
 
 
 @pytest.mark.parametrize(

@@ -32,9 +32,7 @@ def identified() -> tuple[ji.Estimate, ji.Record]:
 
 
 def answer(record: ji.Record) -> str:
-    checked = ji.validate(identified()[0], record)
-    assert checked.to_document().title == checked.sentence
-    return str(checked.answer.code)
+    return str(ji.validate(identified()[0], record).answer.code)
 
 
 def test_the_same_axis_is_predicted_and_a_changed_one_is_not() -> None:

@@ -148,8 +148,8 @@ class Documented(ABC):
 
     @property
     def sentence(self) -> str:
-        """The result in one sentence; empty if its document begins with one."""
-        return ""
+        """The result in one sentence, by which its document begins."""
+        return self.to_document().title
 
     def _repr_html_(self) -> str:
         """Render the document without its pictures for a notebook."""

@@ -1,10 +1,10 @@
 """`identify`: estimate and checks from one record, several, or a long log.
 
 What the record does not exclude widens the intervals: undeclared elements of the loop, and faults that were found or
-are suspected. An element is a filter of velocity or torque, or a delay. One of size s changes the torque by ``s c``. An
-estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The record bounds s: the score test
-of c beside J gives it with its deviation. The interval holds the shift by the largest s within two deviations, between
-0 and the usual size.
+are suspected. An element is a filter of velocity or torque, a delay, or a loss of the gear. One of size s changes the
+torque by ``s c``. An estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The record
+bounds s: the score test of c beside J gives it with its deviation. The interval holds the shift by the largest s within
+two deviations, between 0 and the usual size.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jointid.diagnostics.explain import FAILS, Causes, explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search import find_part_of_loop
-from jointid.diagnostics.suspects import DELAY, TORQUE_FILTER, VELOCITY_FILTER, Fault, FaultSignature, Finding
+from jointid.diagnostics.suspects import DELAY, FAULTS, TORQUE_FILTER, VELOCITY_FILTER, Fault, FaultSignature, Finding
 from jointid.estimation.force_in_loop import MATTERS, TOLD
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
@@ -48,7 +48,8 @@ from jointid.estimation.result.verdict import (
     checks_of,
 )
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
-from jointid.models.controllers import Controller, FirstOrder
+from jointid.models.controllers import FirstOrder
+from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.chunks import InMemory, Log
@@ -274,19 +275,20 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
 # What widens the intervals
 
 _USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller
+LOSS, _LOST = FAULTS["load_dependent_friction"], 0.15  # of the torque through a gear, at most
 
 
 class Element(NamedTuple):
-    """An undeclared element: half its usual size, s, and controller with it."""
+    """An undeclared element: half its usual size, s or a share, and controller with it, if it is of that."""
 
     fault: Fault
     half: float
-    controller: Controller
+    controller: Any
     axis: int = 0
 
 
-def list_undeclared(controller: Any, sample_time: float, axis: int = 0) -> Iterator[Element]:
-    """Yield usual elements that a controller does not declare; `sample_time` in s."""
+def list_undeclared(controller: Any, sample_time: float, axis: int = 0, joint: Any = None) -> Iterator[Element]:
+    """Yield usual elements that a controller, or a joint alone, does not declare; `sample_time` in s."""
     if getattr(controller, "undeclared", "none") == "none":
         return
     period = controller.period or sample_time
@@ -297,6 +299,8 @@ def list_undeclared(controller: Any, sample_time: float, axis: int = 0) -> Itera
         yield Element(TORQUE_FILTER, half, replace(controller, torque_filters=(FirstOrder(half),)), axis)
     if not controller.delay:
         yield Element(DELAY, 0.5 * period, replace(controller, delay=0.5 * period), axis)
+    if joint is not None and joint.model == "flexible" and joint.friction == Friction():
+        yield Element(LOSS, 0.5 * _LOST, None)
 
 
 def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
@@ -313,23 +317,30 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     tried = list[Element]()
     for k, (driven, axis) in enumerate(zip(() if run is None else run.experiment.axes, found.axes, strict=False)):
         known = {*names, *(one.name for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
-        elements = list_undeclared(driven.controller, fit.data.sample_time, k)
+        elements = list_undeclared(driven.controller, fit.data.sample_time, k, getattr(fit.problem, "joint", None))
         tried += [one for one in elements if one.fault.name not in known]
     if torques is None or not tried:
         return
     rows = {row.name: row for row in fit.rows if row.stderr}
     solve = Influence(torques.stack(torques.own), torques.stack(torques.error)).matrix
-    changes = _respond(log, run, tried)
+    laws = [one for one in tried if one.controller is not None]
+    changes = _respond(log, run, laws) if laws else []
+    if fit.problem is not None and fit.x is not None and tried[-1].fault is LOSS:
+        lossy: Any = replace(fit.problem.joint, friction=Friction("load-dependent"))
+        other = fit.problem.with_joint(lossy)
+        slopes = dict(zip(other.free, other.linearise(other.vector(fit.problem.values(fit.x)))[1].T, strict=True))
+        changes += [-0.5 * _LOST * one[np.newaxis] for p, one in slopes.items() if p.name == "load_friction_per_torque"]
     sizes = in_threads(lambda one: _largest_size(torques, *one), list(zip(tried, changes, strict=True)))
     for element, change, largest in zip(tried, changes, sizes, strict=True):
         by = 0.5 * scales * (solve @ torques.stack(change)) * largest / element.half
         moved = {name: float(one) for name, one in zip(names, by, strict=True) if name in rows}
         if any(abs(one) > MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
-            what = f"an undeclared {element.fault.title} of up to {number(1e3 * largest, 2)} ms"
+            size = f"{number(100 * largest, 2)} %" if element.fault is LOSS else f"{number(1e3 * largest, 2)} ms"
+            what = f"an undeclared {element.fault.title} of up to {size}"
             yield _widening(what, moved, rows, '. Declare it, or set undeclared = "none" in [controller]')
 
 
-def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> Sequence[FloatArray]:
+def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> list[FloatArray]:
     """First-order changes of filtered torques along a run, by element, (n, rows)."""
     each = run.experiment.axes
     others = [(one.axis, replace(each[one.axis], law=each[one.axis].law_of(one.controller))) for one in tried]

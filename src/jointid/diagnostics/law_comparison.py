@@ -124,11 +124,6 @@ class LawComparison(Documented):
             words += f'; declare the joint with {self.kind} = "{found.name}" to identify it'
         return Message(code, f"The record shows {words}", {self.kind: found.name, "declared": self.declared})
 
-    @property
-    def sentence(self) -> str:
-        """The answer as a sentence."""
-        return f"{self.answer}."
-
     def to_document(self, *, details: bool = False) -> Document:
         """Answer and table of laws; there are no further details."""
         del details
@@ -140,7 +135,7 @@ class LawComparison(Documented):
         header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
         note = f"kept apart: a third of {PARTS} parts of the record, in turn, by the fit to the others"
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
-        return Document(self.sentence, (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
+        return Document(f"{self.answer}.", (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
 
 
 def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:

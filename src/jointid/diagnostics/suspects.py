@@ -36,7 +36,6 @@ _LEAST_SAG = 0.04  # of the torque at the peak: to so much a torque constant is 
 _WAVES, _TURNED = 4, 1.0  # periods in the travel; rad at least, that show an error of each turn, or a weight
 _DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
-_OF_LOAD = 1.0  # shape of a friction under load that is the load's; that of the motor has none
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
 _LIKELIEST = 6  # that are simulated
 _WAVES_TRIED = np.arange(3.0, 150.0, 0.25)  # times that a ripple comes back over the travel
@@ -463,11 +462,11 @@ def _wind(moves: FloatArray) -> FloatArray:
 
 
 def _under_load(seen: Seen) -> Columns:
-    """Yield a friction that grows with the torque through the gear."""
+    """Yield a friction that grows with the torque through the gear: the motor's, and the load's of shape 1."""
     if seen.has_linear_friction:
         yield None, seen.force(-np.abs(seen.through) * np.sign(seen.velocity))
     if seen.is_plain:
-        yield _OF_LOAD, seen.vary({"load_friction_per_torque": _LOSS}, _LOSS, friction=Friction("load-dependent"))
+        yield 1.0, seen.vary({"load_friction_per_torque": _LOSS}, _LOSS, friction=Friction("load-dependent"))
 
 
 def _over_time(seen: Seen) -> Columns:

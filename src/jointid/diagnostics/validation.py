@@ -178,11 +178,6 @@ class Validation(Documented):
         words += f"filtered torque{of}" + ("" if least is None else f", and one fitted to it {_share(least)}")
         return Message(code, words + then, {"filtered_error": left, "attainable_error": least})
 
-    @property
-    def sentence(self) -> str:
-        """The answer as a sentence."""
-        return f"{self.answer}."
-
     def to_document(self, *, details: bool = False) -> Document:
         """Answer and errors as a document; there are no further details."""
         del details
@@ -199,7 +194,7 @@ class Validation(Documented):
             shares = one.relative_error, one.filtered_error, one.attainable_error, one.nominal_error
             rows.append((one.name, *(_share(share).removesuffix(" %") for share in shares)))
         table = Table(header, tuple(rows), "Error of the prediction, as a share of the measured signal")
-        return Document(self.sentence, (Facts(tuple(facts)), *([table] if self.axes[0].name else [])))
+        return Document(f"{self.answer}.", (Facts(tuple(facts)), *([table] if self.axes[0].name else [])))
 
 
 def _share(share: float | None) -> str:

@@ -294,7 +294,7 @@ class DiagramController(ServoController):
     constant_feedforward: float = setting(0.0, "always added", unit="controller units")
     undeclared: Literal["possible", "none"] = setting(
         "possible",
-        "whether the drive may have a filter or a delay beside what is declared, which intervals then allow for",
+        "whether the drive may have a filter, a delay or a loss beside what is declared, which intervals allow for",
     )
 
     def __post_init__(self) -> None:
