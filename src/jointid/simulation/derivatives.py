@@ -57,7 +57,7 @@ def differentiate(kept: Run, keys: Sequence[Place], *, positions: bool = False) 
     moved = np.empty((clock.samples, shown, len(keys)))
     if kept.outcome is not Outcome.FINISHED:
         return [np.zeros_like(one) for one in torques], np.zeros_like(moved)
-    wide = LANES if kept.path.straight else -(-max(len(keys), 1) // LANES) * LANES  # rows in whole vectors
+    wide = LANES if kept.path is not None else -(-max(len(keys), 1) // LANES) * LANES  # rows in whole vectors
     filled = (*keys, *[_NOBODY] * (-len(keys) % wide if keys else wide))
     first_slopes = start_slopes(experiment, kept.carried, kept.start, filled)
     for first in range(0, len(filled), wide):
@@ -98,7 +98,7 @@ def respond_to_laws(kept: Run, changes: Sequence[tuple[int, AxisInput]]) -> tupl
         explicit.append((column, j, np.outer(pushed, of_output), np.zeros(law.limits.size)))
         shown = (to_log(one, of + one.shown) for one, of in ((own, before), (other, after)))
         direct.append(-np.subtract(*shown)[: clock.samples])
-    width = LANES if kept.path.straight else count
+    width = LANES if kept.path is not None else count
     still = np.zeros((kept.start.places.size, width))
     states = np.zeros((len(experiment.axes), kept.start.states.shape[1], width))
     command, _ = _follow(kept, (), (still, still, states), explicit)
@@ -142,8 +142,8 @@ def _follow(
     for c, (column, j, of_elements, of_limits) in enumerate(explicit):
         own = of_limits.size
         of_law[j, : len(of_elements), :own, c], limits[j, :own, column] = of_elements, of_limits
-    straight, (places, speeds, laws) = kept.path.straight, first
-    lines = straight and all(law.linear for law in numbers.joints[0].laws)
+    places, speeds, laws = first
+    lines = kept.path is not None and all(law.linear for law in numbers.joints[0].laws)
     seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if lines else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 

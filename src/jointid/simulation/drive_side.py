@@ -25,7 +25,7 @@ from jointid.common.errors import MethodError
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.derivatives import columns_of
-from jointid.simulation.kernels import NO_PATH, STATE, IntArray
+from jointid.simulation.kernels import STATE, IntArray
 from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place
 from jointid.simulation.simulate import STEPS, MassMotion, Outcome, choose_steps, integrate, motion_of, pass_on
 from jointid.simulation.start import Steady
@@ -214,7 +214,7 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
     plant, speeds, none = heavy.plant, np.zeros((n, parts + 1, count)), np.zeros((n, 0, count))
     follow(
         plant, prescribed.tree, heavy.inertials, pass_on(run.command, prescribed.step), np.zeros(n), run.command,
-        np.zeros((n, 0, 1)), run.tape, NO_PATH, heavy.seeds(plant, keys), *_slopes_at_start(run, keys),
+        np.zeros((n, 0, 1)), run.tape, None, heavy.seeds(plant, keys), *_slopes_at_start(run, keys),
         none, np.zeros((n, 0, 1, 0)), np.zeros(0, np.int64), np.zeros((n, 1, count)), np.zeros((n, parts + 1, 0)),
         np.zeros((0, 4, count)), speeds,
     )  # fmt: skip

@@ -20,7 +20,7 @@ from jointid.models.position_forces import Motion
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation import kernels
-from jointid.simulation.kernels import FREE, NO_PATH, PART, STATE, IntArray, Path, Plant, SampledLoop
+from jointid.simulation.kernels import FREE, PART, STATE, IntArray, Path, Plant, SampledLoop
 from jointid.simulation.loop_input import LoopInput
 from jointid.simulation.plant import Numbers
 from jointid.simulation.start import Initial, Start, begin
@@ -105,7 +105,7 @@ class Run:
     command: FloatArray
     excess: FloatArray
     tape: FloatArray
-    path: Path
+    path: Path | None
     counts: IntArray
 
     @property
@@ -176,7 +176,7 @@ def run_loop(
     if start is None or outcome is not Outcome.FINISHED:
         nowhere = Start(still, still, still, (None,) * n, np.zeros((n, 0)), np.zeros(n))
         none, counts = np.zeros((n, 0, elements)), np.zeros(4, np.int64)
-        nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), NO_PATH, counts
+        nothing = np.zeros((n, experiment.clock.steps)), none, np.zeros((0, STATE)), None, counts
         return Run(experiment, numbers, plant, nowhere, outcome, *nothing)
     far = experiment.far + np.abs(start.places[numbers.motors])
     outcome, command, excess, tape, path, counts = integrate(
@@ -190,7 +190,7 @@ def integrate(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
     z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, *, keep: bool, straight: bool = False,
     steps: int = 0, room: Room | None = None,
-) -> tuple[Outcome, FloatArray, FloatArray, FloatArray, Path, IntArray]:  # fmt: skip
+) -> tuple[Outcome, FloatArray, FloatArray, FloatArray, Path | None, IntArray]:  # fmt: skip
     """Run `kernels.engine`; keep its tape on demand, in a room's memory.
 
     Returns how it ended, then command, excess, tape, path and counts as `Run` has them.
@@ -206,20 +206,19 @@ def integrate(
     command = np.empty((axes, clock))  # never in a room: it may be an answer
     excess = array("excess", (axes, periods if keep else 0, elements))
     excess[:] = 0.0
-    followed, modes = clock * parts if keep and straight else 0, 0
+    path = None
     if straight:
-        bands, pieces = plant.masses.shape[1], 2 * plant.springs.shape[1] - 1
-        modes = affine.MODES * bands ** len(plant.masses) * pieces ** len(plant.pairs)
-    rates = np.zeros((modes, 2, affine.INPUTS))
-    path = Path(straight, array("states", (followed, 4)), array("modes", (followed,), np.int16), rates)
+        bands, pieces, followed = plant.masses.shape[1], 2 * plant.springs.shape[1] - 1, clock * parts if keep else 0
+        rates = np.zeros((affine.MODES * bands ** len(place) * pieces ** len(plant.pairs), 2, affine.INPUTS))
+        path = Path(array("states", (followed, 4)), array("modes", (followed,), np.int16), rates)
     rows = (clock // 8 if straight else _MORE * clock * parts * max(steps, 1)) + _TAPED if keep else 0
     rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
     while True:
         tape = array("tape", (rows, STATE + 7 * len(plant.masses) + 3 * len(plant.pairs)))
-        counts = np.zeros(4, np.int64)
+        counts, joint = np.zeros(4, np.int64), None if straight or tree is not None else (0.0,) * len(place)
         status = engine.run(
-            plant, tree, inertials, loop, before, far, z.copy(), place, speed, wound, rate, reach, command, excess,
-            tape, path, counts,
+            plant, tree, inertials, loop, before, far, z.copy(), joint, place, speed, wound.copy(), rate, reach,
+            command, excess, tape, path, counts,
         )  # fmt: skip
         if not keep or counts[1] <= rows:  # else joints that turn round and stick all the time
             break
@@ -229,7 +228,7 @@ def integrate(
         command[:, done:] = command[:, done - 1 : done] if done else 0.0
         for j, every in enumerate(loop.every):
             excess[j, -(-done // int(every)) :] = 0.0
-        for signal in command, excess, path.states[: done * parts]:  # overflow
+        for signal in (command, excess, path.states[: done * parts]) if path else (command, excess):  # overflow
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return tuple(Outcome)[status], command, excess, tape[: counts[1]], path, counts
 
@@ -263,7 +262,7 @@ def motion_at(run: Run, parts: IntArray) -> MassMotion:
         held = np.tile(run.start.places, (parts.size, 1))
         return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
     at = np.minimum(parts, done - 1)
-    if run.path.straight:  # accelerations are those just after torques change
+    if run.path is not None:  # accelerations are those just after torques change
         post, path, rates = run.experiment.sampled.post[0], run.path, run.path.rates[:, :masses].T
         states, mode = np.take(path.states, at, 0), path.modes[at].astype(np.int64)
         source = at // clock.lengths.size - clock.lags[0, at % clock.lengths.size]

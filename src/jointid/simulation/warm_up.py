@@ -15,6 +15,7 @@ from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import RobotLoop
+from jointid.models.springs import Spring
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.loop_input import prepare
@@ -34,7 +35,7 @@ def warm_up(joint: Joint = _RIGID, *, derivatives: bool = True) -> None:
     """
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     # With an offset it would leave the range of its reference, and there would be no derivatives.
-    values = dict.fromkeys(names_of(joint), 1.0) | {"offset": 0.0}
+    values = dict.fromkeys(names_of(joint), 0.5) | {"offset": 0.0}
     run = run_loop(prepare(loop, _AT_REST), Numbers.of_joint(joint, values), keep=True)
     if derivatives:
         differentiate(run, run.numbers.not_zero())
@@ -56,7 +57,9 @@ def compile_robot() -> None:
 
 def main() -> None:
     """Compile all kernels, in two processes."""
-    joints = _RIGID, FlexibleJoint("revolute", friction=Friction("presliding"))
+    winds, springs = Friction("presliding"), (Spring(), Spring("elastic-load"))
+    flexible = (FlexibleJoint("revolute", friction=winds, spring=spring) for spring in springs)
+    joints: tuple[Joint, ...] = (_RIGID, RigidJoint("revolute", friction=winds), *flexible)
     with ProcessPoolExecutor(2) as pool:
         tuple(pool.map(call, (compile_robot, *(partial(warm_up, joint) for joint in joints))))
 

@@ -103,20 +103,15 @@ class Path(NamedTuple):
     """States and modes of a joint of straight lines, or of lines in pieces, as each part begins.
 
     Attributes:
-        straight: whether it is one; of any other both are empty.
         states: (parts, 4); or (0, 4) unless they are kept.
         modes: (parts,) ``3 m1 + m2 + 4``, and 9 times the number of bands and piece, see `affine.enter_mode`; or (0,).
         rates: (modes, 2, 5) of each that was met the accelerations of motor and load by motor velocity, stretch, load
             velocity, torque and constant forces.
     """
 
-    straight: bool
     states: FloatArray
     modes: NDArray[np.int16]
     rates: FloatArray
-
-
-NO_PATH = Path(False, np.zeros((0, 4)), np.zeros(0, np.int16), np.zeros((0, 2, 5)))
 
 
 class Seeds(NamedTuple):

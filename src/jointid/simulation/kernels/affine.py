@@ -21,22 +21,8 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.simulation.kernels import (
-    COULOMB,
-    COULOMB_BACK,
-    DAMPING,
-    FREE,
-    HELD,
-    INERTIA,
-    LANES,
-    MASS,
-    OFFSET,
-    STIFFNESS,
-    VISCOUS,
-    IntArray,
-    SampledLoop,
-    Seeds,
-)
+from jointid.simulation import kernels
+from jointid.simulation.kernels import LANES, IntArray, SampledLoop, Seeds
 from jointid.simulation.kernels.control import SmallLaw, control_any
 
 State: TypeAlias = tuple[float, float, float, float]
@@ -54,6 +40,23 @@ WIDE = 4 * LANES  # derivatives of a state
 # parameters change in the map of these; derivatives of two states of the law, and of the torque; then what parameters
 # change in the law's output.
 _S, _T, _Z, _D, _EXPLICIT, SCRATCH = (LANES * row for row in (0, 4, 8, 10, 11, 12))
+
+
+def _ask_for(attribute: str) -> Any:
+    def ask(_: Any) -> tuple[Any, Any]:
+        def lower(context: Any, builder: Any, *_: Any) -> Any:
+            set.add(builder.function.attributes, attribute)  # their own `add` takes no values
+            return context.get_dummy_value()
+
+        return types.void(), lower
+
+    return (lambda: None) if config.DISABLE_JIT else extending.intrinsic(ask)  # type: ignore
+
+
+wide_vectors = _ask_for('"prefer-vector-width"="512"')
+"""Let a function use whole vectors, as those it inlines must ask, too: of 512 bits LLVM by itself takes halves."""
+compact = _ask_for("optsize")
+"""Leave the loops of a function to those that inline it, as these may know how often they run."""
 
 
 @inline_kernel
@@ -80,10 +83,11 @@ def fill_rates(
     They are linear in the joint's numbers but for the inertias: shares are one over these, and 0 of a mass at rest. The
     torque is 1; or 0 where the numbers are derivatives.
     """
-    stiffness, damping, back1, back2 = spring[0, STIFFNESS], spring[0, DAMPING], int(m1 <= 0), int(m2 <= 0)
-    viscous1, force1 = mass[0, VISCOUS + back1], (2 * back1 - 1) * mass[0, COULOMB + back1]
-    viscous2, force2 = mass[1, VISCOUS + back2], (2 * back2 - 1) * mass[1, COULOMB + back2]
-    force1, force2 = force1 - mass[0, OFFSET] + spring[0, HELD], force2 - mass[1, OFFSET] - spring[0, HELD]
+    stiffness, damping = spring[0, kernels.STIFFNESS], spring[0, kernels.DAMPING]
+    back1, back2, held = int(m1 <= 0), int(m2 <= 0), spring[0, kernels.HELD]
+    viscous1, force1 = mass[0, kernels.VISCOUS + back1], (2 * back1 - 1) * mass[0, kernels.COULOMB + back1]
+    viscous2, force2 = mass[1, kernels.VISCOUS + back2], (2 * back2 - 1) * mass[1, kernels.COULOMB + back2]
+    force1, force2 = force1 - mass[0, kernels.OFFSET] + held, force2 - mass[1, kernels.OFFSET] - held
     rates[0, 0], rates[0, 1], rates[0, 2] = -(viscous1 + damping) * share1, stiffness * share1, damping * share1
     rates[0, 3], rates[0, 4] = torque * share1, force1 * share1
     rates[1, 0], rates[1, 1], rates[1, 2] = damping * share2, -stiffness * share2, -(viscous2 + damping) * share2
@@ -115,10 +119,10 @@ def _fill_bends(mass: FloatArray, spring: FloatArray, m1: int, m2: int, h: float
     second derivative over the part by its value at the start; a function stays within h^2/8 max|f''| of its chord.
     The root energy is sqrt(M1 E), so that a change of the torque changes it by no more than itself.
     """
-    inertia1, inertia2 = mass[0, INERTIA], mass[1, INERTIA]
-    stiffness, damping = spring[0, STIFFNESS], spring[0, DAMPING]
+    inertia1, inertia2 = mass[0, kernels.INERTIA], mass[1, kernels.INERTIA]
+    stiffness, damping = spring[0, kernels.STIFFNESS], spring[0, kernels.DAMPING]
     root1, root2 = math.sqrt(inertia1), math.sqrt(inertia2)
-    viscous1, viscous2 = mass[0, VISCOUS + int(m1 <= 0)], mass[1, VISCOUS + int(m2 <= 0)]
+    viscous1, viscous2 = mass[0, kernels.VISCOUS + int(m1 <= 0)], mass[1, kernels.VISCOUS + int(m2 <= 0)]
     shared = math.sqrt(stiffness) + damping * (1.0 / root1 + 1.0 / root2)
     bend1 = (abs(viscous1) / root1 + shared) / inertia1  # of the motor's velocity
     bend2 = (abs(viscous2) / root2 + shared) / inertia2  # of the load's velocity
@@ -163,9 +167,9 @@ def enter_mode(
     (modes * parts, 4).
     """
     one, two, where = modes[0], modes[1] if v.size > 1 else 0.0, at[0]
-    if one == FREE:
+    if one == kernels.FREE:
         one = math.copysign(1.0, v[0]) if v[0] != 0.0 else loose
-    if two == FREE:
+    if two == kernels.FREE:
         two = math.copysign(1.0, v[1]) if v[1] != 0.0 else loose
     if v.size > 1:
         where += bands * (at[1] + bands * (at[2] + pieces - 1))
@@ -173,7 +177,8 @@ def enter_mode(
     if filled[mode]:
         return mode
     m1, m2 = _ways(mode)
-    fill_rates(mass, spring, m1, m2, abs(m1) / mass[0, INERTIA], abs(m2) / mass[1, INERTIA], 1.0, rates[mode])
+    share1, share2 = abs(m1) / mass[0, kernels.INERTIA], abs(m2) / mass[1, kernels.INERTIA]
+    fill_rates(mass, spring, m1, m2, share1, share2, 1.0, rates[mode])
     for part in range(lengths.size):
         b = mode * lengths.size + part
         _fill_bends(mass, spring, m1, m2, lengths[part], bends[b])
@@ -220,16 +225,16 @@ def _stays(
     stretch, after, at = x[2] - x[0], y[2] - y[0], np.uint64(b)
     room1, room2 = _inside(m1 * x[1], m1 * y[1], slowest1, fastest1), _inside(m2 * x[3], m2 * y[3], slowest2, fastest2)
     if m1 == 0 or m2 == 0:  # one at rest stays in its cone
-        stiffness, damping, held = spring[0, STIFFNESS], spring[0, DAMPING], spring[0, HELD]
+        stiffness, damping, held = spring[0, kernels.STIFFNESS], spring[0, kernels.DAMPING], spring[0, kernels.HELD]
         pull = held + stiffness * stretch + damping * (x[3] - x[1])
         end = held + stiffness * after + damping * (y[3] - y[1])
         least, most = min(pull, end), max(pull, end)
         if m1 == 0:
-            push = s - mass[0, OFFSET]
-            room1 = _HELD + min(mass[0, COULOMB] - (push + most), mass[0, COULOMB_BACK] + (push + least))
+            push, grip, back = s - mass[0, kernels.OFFSET], mass[0, kernels.COULOMB], mass[0, kernels.COULOMB_BACK]
+            room1 = _HELD + min(grip - (push + most), back + (push + least))
         if m2 == 0:
-            push = mass[1, OFFSET]
-            room2 = _HELD + min(mass[1, COULOMB] + (push + least), mass[1, COULOMB_BACK] - (push + most))
+            push, grip, back = mass[1, kernels.OFFSET], mass[1, kernels.COULOMB], mass[1, kernels.COULOMB_BACK]
+            room2 = _HELD + min(grip + (push + least), back - (push + most))
     inside = _inside(stretch, after, low, high) > bends[at, 3] * root
     return bool(room1 > bends[at, 0] * root and room2 > bends[at, 1] * root and inside)
 
@@ -237,10 +242,11 @@ def _stays(
 @inline_kernel
 def _root_energy(mass: FloatArray, spring: FloatArray, r: FloatArray, mode: int, x: State, s: float) -> float:
     """Return the root energy of the rates of change as a part begins, see `_fill_bends`."""
-    a, inertia, stretch, apart = np.uint64(mode), mass[0, INERTIA], x[2] - x[0], x[3] - x[1]
+    a, stretch, apart = np.uint64(mode), x[2] - x[0], x[3] - x[1]
+    inertia, load, stiffness = mass[0, kernels.INERTIA], mass[1, kernels.INERTIA], spring[0, kernels.STIFFNESS]
     a1 = (r[a, 0, 0] * x[1] + r[a, 0, 1] * stretch) + (r[a, 0, 2] * x[3] + r[a, 0, 3] * s) + r[a, 0, 4]
     a2 = (r[a, 1, 0] * x[1] + r[a, 1, 1] * stretch) + (r[a, 1, 2] * x[3] + r[a, 1, 4])
-    return math.sqrt(inertia * (inertia * a1 * a1 + mass[1, INERTIA] * a2 * a2 + spring[0, STIFFNESS] * apart * apart))
+    return math.sqrt(inertia * (inertia * a1 * a1 + load * a2 * a2 + stiffness * apart * apart))
 
 
 @inline_kernel
@@ -344,18 +350,6 @@ def ride(
 # that nothing overlaps, and keeps to vector instructions.
 
 
-def _prefer_wide_vectors(_: Any) -> tuple[Any, Any]:
-    def lower(context: Any, builder: Any, *_: Any) -> Any:
-        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # their own `add` takes no values
-        return context.get_dummy_value()
-
-    return types.void(), lower
-
-
-wide_vectors: Any = (lambda: None) if config.DISABLE_JIT else extending.intrinsic(_prefer_wide_vectors)  # type: ignore
-"""Let a function use whole vectors, as those it inlines must ask, too: of 512 bits LLVM by itself takes halves."""
-
-
 @compile_kernel
 def fill_tangent(
     masses: FloatArray, springs: FloatArray, seeds: Seeds, mode: int, lengths: FloatArray, rates: FloatArray,
@@ -366,10 +360,10 @@ def fill_tangent(
     Filled are `moves`, as by `enter_mode`, and `moved`, (modes * parts, INPUTS * 4 * LANES).
     """
     (m1, m2), nd, (where, band), bands = _ways(mode), masses.shape[0], (mode // MODES, 0), masses.shape[1]
-    dmass, dspring = np.zeros((LANES, 2, MASS)), np.zeros((LANES, 1, MASS))
+    dmass, dspring = np.zeros((LANES, 2, kernels.MASS)), np.zeros((LANES, 1, kernels.MASS))
     bent: NDArray[Any] = np.zeros((2, INPUTS), dtype=np.complex128)
     slopes = np.zeros((2, INPUTS))
-    share1, share2 = abs(m1) / masses[0, 0, INERTIA], abs(m2) / masses[nd - 1, 0, INERTIA]
+    share1, share2 = abs(m1) / masses[0, 0, kernels.INERTIA], abs(m2) / masses[nd - 1, 0, kernels.INERTIA]
     for i in range(nd + springs.shape[0]):
         piece = where - springs.shape[1] + 1
         where, band = where // bands, where % bands if i < nd else abs(piece)
@@ -378,12 +372,12 @@ def fill_tangent(
             if i < nd:
                 dmass[c, i, number] = value
             else:
-                dspring[c, 0, number] = -value if number == HELD and piece < 0 else value
+                dspring[c, 0, number] = -value if number == kernels.HELD and piece < 0 else value
     for c in range(LANES):
         fill_rates(dmass[c], dspring[c], m1, m2, share1, share2, 0.0, slopes)
         for i in range(INPUTS):
-            slope1 = slopes[0, i] - dmass[c, 0, INERTIA] * share1 * rates[mode, 0, i]
-            slope2 = slopes[1, i] - dmass[c, 1, INERTIA] * share2 * rates[mode, 1, i]
+            slope1 = slopes[0, i] - dmass[c, 0, kernels.INERTIA] * share1 * rates[mode, 0, i]
+            slope2 = slopes[1, i] - dmass[c, 1, kernels.INERTIA] * share2 * rates[mode, 1, i]
             bent[0, i], bent[1, i] = rates[mode, 0, i] + _STEP * slope1, rates[mode, 1, i] + _STEP * slope2
         for part in range(lengths.size):
             for i in range(INPUTS):

@@ -24,8 +24,12 @@ complementarity problem, Opsearch 11, 1974), which ends for every positive defin
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numba import config, extending, types
+from numba.core import cgutils
+from numba.np import arrayobj
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
@@ -44,7 +48,39 @@ _PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
 _ROOT = 1e-12  # of a step: where an event is located to
 _CLOSER = 80  # steps at most to locate it
 _WOUND_UP = 1e-8  # of a limit: what is nearer to it than that is at it
+_WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: above it cannot be told from Coulomb's
+
+
+def _make_zeros(_: Any, size: Any) -> tuple[Any, Any]:
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        array, width = context.make_array(signature.return_type)(context, builder), context.get_constant(types.intp, 8)
+        memory = builder.alloca(context.get_value_type(types.float64), args[0])
+        cgutils.memset(builder, memory, builder.mul(width, args[0]), 0)  # type: ignore
+        arrayobj.populate_array(array, memory, [args[0]], [width], width, None)  # type: ignore
+        return array._getvalue()
+
+    return types.float64[::1](size), lower
+
+
+_zeros: Any = np.zeros if config.DISABLE_JIT else extending.intrinsic(_make_zeros)  # type: ignore
+"""Zeros on the stack, which LLVM keeps in registers where it knows their number and each index."""
+
+
+@inline_kernel
+def _tied(tree: Tree | None, pairs: IndexArray, s: int) -> Any:
+    """Return the masses that a spring ties; of a joint neighbours."""
+    return (np.uint64(s), np.uint64(s + 1)) if tree is None else (pairs[s, 0], pairs[s, 1])
+
+
+@inline_kernel
+def _read(x: FloatArray, i: float) -> float:
+    """Return an element; i is compared as a number, so that the compiler does not take it for the index."""
+    affine.compact()
+    found, where = 0.0, float(i)
+    for j in range(x.size):
+        found = x[j] if j == where else found
+    return found
 
 
 @inline_kernel
@@ -85,17 +121,18 @@ def accelerate(
     directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are those of
     their bands and pieces.
     """
-    nd = q.size
+    affine.compact()
+    nd, links = q.size, 0 if tree is None else bias.size
     for i in range(nd):
         held[i] = drive[i] - mass[i, kernels.OFFSET]
-    if tree is not None:
-        for i in range(bias.size):
-            held[i] -= bias[i]
+    for i in range(links):
+        held[i] -= bias[i]
     for j in range(places.shape[0]):
-        i = int(places[j, kernels.WHERE])
-        held[i] -= laws.place_force(places, turned, j, q[i])
-    for s in range(pairs.shape[0]):
-        one, two = pairs[s, 0], pairs[s, 1]
+        force = laws.place_force(places, turned, j, _read(q, places[j, kernels.WHERE]))
+        for i in range(nd):
+            held[i] -= force if i == places[j, kernels.WHERE] else 0.0
+    for s in range(pull.size):
+        one, two = _tied(tree, pairs, s)
         pull[s] = laws.spring_torque(spring, s, q[two] - q[one], v[two] - v[one], w[nd + s])
         held[one] += pull[s]
         held[two] -= pull[s]
@@ -104,16 +141,17 @@ def accelerate(
         back = 1 if mode < 0.0 else 0  # known long before what pushes
         if mode == FREE or mode == 0.0:
             back = 1 if v[i] < 0.0 or (v[i] == 0.0 and held[i] < 0.0) else 0
-        carried = pull[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
+        s = i - 1 if tree is None else carriers[i]
+        carried = pull[np.uint64(s)] if s >= 0 else drive[i]
         grip[i], drag = laws.friction(mass, i, back, carried, time)
         held[i] -= grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode) + drag * v[i]
         a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
     positive = tree is None or invert(M, modes, inverse)
-    for i in range(bias.size):
-        for j in range(bias.size if modes[i] != 0.0 else 0):
+    for i in range(links):
+        for j in range(links if modes[i] != 0.0 else 0):
             a[i] += inverse[i, j] * held[j]
-    for i in range(bias.size):
-        for j in range(bias.size if modes[i] == 0.0 else 0):  # what the others' motion takes from what holds it
+    for i in range(links):
+        for j in range(links if modes[i] == 0.0 else 0):  # what the others' motion takes from what holds it
             held[i] -= M[i, j] * a[j]
     return positive
 
@@ -162,7 +200,7 @@ def _enter(
 
 @inline_kernel
 def _watch(
-    spring: FloatArray, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, q: FloatArray,
+    spring: FloatArray, tree: Tree | None, pairs: IndexArray, modes: FloatArray, bounds: FloatArray, q: FloatArray,
     v: FloatArray, held: FloatArray, grip: FloatArray, guards: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the guards, each positive until its event, and infinite without one.
@@ -170,14 +208,15 @@ def _watch(
     First those of masses, a speed or what can hold one beyond its push; of springs, the rates of deflections; then as
     many for the bounds of bands and pieces.
     """
-    nd, every = v.size, modes.size
+    affine.compact()
+    nd, every = v.size, guards.size // 2
     for i in range(nd):
         mode = modes[i]
         room = mode * v[i] if mode != 0.0 else _HOLD * grip[i] - abs(held[i])
         guards[i] = room if mode != FREE else np.inf
         guards[every + i] = min(mode * v[i] - bounds[i, 0], bounds[i, 1] - mode * v[i])
-    for s in range(pairs.shape[0]):
-        i, one, two = nd + s, pairs[s, 0], pairs[s, 1]
+    for s in range(every - nd):
+        i, (one, two) = nd + s, _tied(tree, pairs, s)
         guards[i] = modes[i] * (v[two] - v[one]) if spring[s, kernels.WINDING] > 0.0 else np.inf
         guards[every + i] = min(q[two] - q[one] - bounds[i, 0], bounds[i, 1] - (q[two] - q[one]))
 
@@ -192,16 +231,15 @@ def _find_first(
     Less than 1 is the bottom of a dip, on demand, of a speed that is positive at both ends. No guard, -1, if there is
     no event but a known one.
     """
+    affine.compact()
     first, found, where = 2.0, -1, 1.0
     for i in range(guards.size):
         start, end = guards[i], ends[i]
-        if i == known:
-            continue
-        if end < 0.0 or (end == 0.0 and start > 0.0):
-            place = start / (start - end)
-            if place < first:
-                first, found, where = place, i, 1.0
-        elif dips and i < a.size and modes[i] != 0.0 and 0.0 <= start < np.inf:
+        if i != known and (end < 0.0 or (end == 0.0 and start > 0.0)) and start / (start - end) < first:
+            first, found = start / (start - end), i
+    for i in range(a.size):
+        start, end = guards[i], ends[i]
+        if dips and i != known and modes[i] != 0.0 and 0.0 <= start < np.inf and (end > 0.0 or end == start):
             down, up = modes[i] * a[i] * h, modes[i] * a1[i] * h
             # The cubic through both ends: where it is lowest, and how low. It may rise before, as from rest.
             c2, c3 = 3.0 * (end - start) - 2.0 * down - up, 2.0 * (start - end) + down + up
@@ -252,17 +290,17 @@ def _go_on(
     q: FloatArray, v: FloatArray, held: FloatArray,
 ) -> None:  # fmt: skip
     """Change what an event changes: a mass stops, turns or comes loose, a slider turns, a law goes over an edge."""
+    affine.compact()
     nd = v.size
     if event >= modes.size:
         i = event - modes.size
-        value = modes[i] * v[i] if i < nd else q[pairs[i - nd, 1]] - q[pairs[i - nd, 0]]
+        value = modes[i] * _read(v, i) if i < nd else _read(q, pairs[i - nd, 1]) - _read(q, pairs[i - nd, 0])
         at[i] += 1 if bounds[i, 1] - value < value - bounds[i, 0] else -1
     elif event >= nd:
         modes[event] = -modes[event]
     elif modes[event] == 0.0:
-        modes[event] = math.copysign(1.0, held[event])
+        modes[event] = math.copysign(1.0, _read(held, event))
     else:
-        v[event] = 0.0
         modes[event] = -modes[event] if mass[event, kernels.WINDING] > 0.0 else 0.0
 
 
@@ -272,7 +310,8 @@ def _write_row(
     w: FloatArray, a: FloatArray, a1: FloatArray,
 ) -> None:  # fmt: skip
     """Write a step into its row of the tape."""
-    nd, every = q.size, modes.size
+    affine.compact()
+    nd, every = q.size, w.size
     row[kernels.PART], row[kernels.LENGTH], row[kernels.EVENT] = part, d, event
     for i in range(nd):
         row[STATE + i], row[STATE + nd + i] = q[i], v[i]
@@ -283,32 +322,43 @@ def _write_row(
 
 
 @inline_kernel
-def _go_to_stage(
-    stage: int, d: float, q: FloatArray, v: FloatArray, a: FloatArray, second: FloatArray, third: FloatArray,
-    a1: FloatArray, q1: FloatArray, v1: FloatArray,
-) -> None:  # fmt: skip
-    """Write the state of a stage, from the accelerations of those before; the last is the end of the step."""
-    half, sixth = 0.5 * d, d / 6.0
-    for i in range(q.size):
-        if stage == 0:
-            q1[i], v1[i] = q[i] + half * v[i], v[i] + half * a[i]
-        elif stage == 1:
-            second[i] = a1[i]
-            q1[i], v1[i] = q[i] + half * (v[i] + half * a[i]), v[i] + half * a1[i]
-        elif stage == 2:
-            third[i] = a1[i]
-            q1[i], v1[i] = q[i] + d * (v[i] + half * second[i]), v[i] + d * a1[i]
-        else:
-            between = second[i] + third[i]
-            q1[i] = q[i] + d * (v[i] + sixth * (a[i] + between))
-            v1[i] = v[i] + sixth * (a[i] + 2.0 * between + a1[i])
+def _fastest_rate(
+    mass: FloatArray, spring: FloatArray, places: FloatArray, tree: Tree | None, pairs: IndexArray,
+    mobility: FloatArray, modes: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, grip: FloatArray,
+) -> float:  # fmt: skip
+    """Return a bound in 1/s on how fast the motion changes by itself, or what acts on it changes with it."""
+    affine.compact()
+    nd, square, rate = q.size, 0.0, 0.0
+    for i in range(nd):
+        rate += max(abs(mass[i, kernels.VISCOUS]), abs(mass[i, kernels.VISCOUS_BACK])) * mobility[i]
+        tangent = abs(laws.wind_up(mass, i, modes[i], modes[i], w[i])[0])
+        if tangent > _WINDS * mass[i, kernels.WINDING]:
+            square += grip[i] * tangent * mobility[i]
+            rate += abs(laws.wind_up(mass, i, modes[i], v[i], w[i])[1])
+    for s in range(w.size - nd):
+        one, two = _tied(tree, pairs, s)
+        e, both = q[two] - q[one], mobility[one] + mobility[two]
+        stiffness = spring[s, kernels.STIFFNESS] + max(3.0 * spring[s, kernels.CUBIC] * e * e, 0.0)
+        left = abs(modes[nd + s] - w[nd + s])
+        if spring[s, kernels.WINDING] > 0.0 and left > _WINDS:
+            stiffness += spring[s, kernels.SLIPS] * spring[s, kernels.WINDING] * left
+            rate += abs(v[two] - v[one]) * spring[s, kernels.WINDING]
+        square += stiffness * both
+        rate += spring[s, kernels.DAMPING] * both
+    for j in range(places.shape[0]):
+        i, wave = int(places[j, kernels.WHERE]), abs(places[j, kernels.WAVE])
+        slope = wave * (abs(places[j, kernels.COS]) + abs(places[j, kernels.SIN])) + abs(places[j, kernels.RATE])
+        square += slope * mobility[i]
+        rate += wave * abs(_read(v, i))
+    return math.sqrt(square) + rate
 
 
 @compile_kernel
 def run(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
-    z: FloatArray, place: FloatArray, speed: FloatArray, wound: FloatArray, rate: float, reach: float,
-    command: FloatArray, excess: FloatArray, tape: FloatArray, path: Path, counts: IntArray,
+    z: FloatArray, joint: tuple[float, ...] | None, place: FloatArray, speed: FloatArray, wound: FloatArray,
+    rate: float, reach: float, command: FloatArray, excess: FloatArray, tape: FloatArray, path: Path | None,
+    counts: IntArray,
 ) -> int:  # fmt: skip
     """Simulate one candidate; fill what is out and return how it ended.
 
@@ -320,9 +370,10 @@ def run(
         before: (axes,) torques that acted before the first period.
         far: (axes,) motor positions above which a loop counts as diverged.
         z: (axes, states) of the controllers, overwritten.
+        joint: as many numbers as a joint without a path has masses, so that the compiler knows it; None of others.
         place: (masses,) initial positions.
         speed: (masses,) initial velocities.
-        wound: (masses,) initially wound-up shares of friction.
+        wound: (masses,) initially wound-up shares of friction, overwritten.
         rate: how fast the fastest part of the motion turns, rad/s; 0 to ask that of the masses alone in each step.
         reach: how far it may turn in a step, rad.
         command: (axes, clock) out: torques that act, held between periods.
@@ -334,18 +385,16 @@ def run(
     """
     masses, springs, places, pairs, motors, carriers = plant
     post, lengths, lags, every, elements = loop.post, loop.lengths, loop.lags, loop.every, loop.w.shape[1]
-    nd, ns, links, parts, clock = masses.shape[0], pairs.shape[0], inertials.shape[0], lengths.size, command.shape[1]
-    axes, outputs = motors.size, loop.output
-    # Each has an array of its own: of rows of one Numba counts the references in every step.
-    q, v, w, a, held, grip = place.copy(), speed.copy(), np.zeros(nd + ns), np.zeros(nd), np.zeros(nd), np.zeros(nd)
-    q1, v1, w1, a1, held1, grip1 = q.copy(), v.copy(), w.copy(), a.copy(), a.copy(), a.copy()
-    drive, mobility, second, third = a.copy(), a.copy(), a.copy(), a.copy()
-    pull, modes, at, bounds = np.zeros(ns), w.copy(), np.zeros(nd + ns, dtype=np.int64), np.zeros((nd + ns, 2))
-    turned = np.zeros((places.shape[0], 3))
+    nd, ns = (masses.shape[0], pairs.shape[0]) if joint is None else (len(joint), len(joint) - 1)
+    axes, outputs, nw = motors.size, loop.output, nd + ns
+    links, parts, clock = inertials.shape[0], lengths.size, command.shape[1]
+    q, v, a, held, grip, drive = _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd)
+    q1, v1, a1, held1, grip1, between = _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd)
+    pull, w, w1, guards, ends = _zeros(ns), _zeros(nw), _zeros(nw), _zeros(2 * nw), _zeros(2 * nw)
+    modes, mobility, at, bounds = np.zeros(nw), np.zeros(nd), np.zeros(nw, dtype=np.int64), np.zeros((nw, 2))
+    turned, link_room = np.zeros((places.shape[0], 3)), np.zeros((links, ROOM))
     mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.MASS))
-    guards, ends = np.zeros(2 * (nd + ns)), np.zeros(2 * (nd + ns))
     M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
-    link_room = np.zeros((links, ROOM))
     fresh, cut = np.empty(z.shape[1]), np.zeros(elements)
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
     for part in range(parts):
@@ -354,79 +403,73 @@ def run(
     mass[1, kernels.INERTIA] = 1.0  # the maps of a rigid joint have a load that nothing pushes
     for i in range(nd):
         assign(mass[i], masses[i, 0])
-        w[i] = wound[i]
         mobility[i] = 1.0 / mass[i, kernels.INERTIA] if i >= links else 0.0
         coupled = coupled or (carriers[i] < 0 and mass[i, kernels.PER_TORQUE] > 0.0)
-    for j in range(axes):
-        drive[motors[j]] = before[j]
-    _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
-    winds, varies = False, places.shape[0] > 0  # how fast the motion changes by itself, between two events
+    _begin(masses, springs, pairs, links, mobility, longest, place, speed, wound, modes, at)
+    for i in range(nd):
+        q[i], v[i], w[i] = place[i], speed[i], wound[i]
+    varies = places.shape[0] > 0  # how fast the motion changes by itself, between two events
     for i in range(nd + ns):
         _enter(i, masses, springs, modes, at, mass, spring, bounds)
-    for i in range(nd):
-        winds = winds or mass[i, kernels.WINDING] > 0.0
-    for s in range(ns):
-        winds, varies = winds or spring[s, kernels.WINDING] > 0.0, varies or spring[s, kernels.CUBIC] != 0.0
-    varies = varies or winds
+        numbers = mass[i] if i < nd else spring[i - nd]
+        varies = varies or numbers[kernels.WINDING] > 0.0 or (i >= nd and numbers[kernels.CUBIC] != 0.0)
     if tree is not None:
         equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
         for i in range(links):
             M[i, i] += mass[i, kernels.INERTIA]
-    events, steps, rows, k, fastest, status = 0, 0, 1, 0, rate, kernels.FINISHED
-    work = _OF_LINES if path.straight else _WORK
-    # The maps of lines in pieces, and a law of one element, one phase and two states at most, which glides by them.
-    straight, states, kept_modes, rates = path
-    maps, part, bands, pieces = rates.shape[0], 0, masses.shape[1], springs.shape[1]
-    filled = np.zeros(maps, dtype=np.bool_)
-    moves, bends = np.empty((parts * maps, affine.INPUTS, 4)), np.empty((parts * maps, 4))
-    small = straight and parts == 1 and z.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
-    law = small_law(loop, z.shape[1] if small else 0)
-    if straight:
-        fastest = laws.fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
+    events, steps, rows, k, part, fastest, work, status = 0, 0, 1, 0, 0, rate, _WORK, kernels.FINISHED
+    if path is not None:  # maps of lines in pieces, and a law of one element, one phase and two states, which glides
+        states, kept_modes, rates = path
+        work, maps, bands, pieces = _OF_LINES, rates.shape[0], masses.shape[1], springs.shape[1]
+        filled = np.zeros(maps, dtype=np.bool_)
+        moves, bends = np.empty((parts * maps, affine.INPUTS, 4)), np.empty((parts * maps, 4))
+        small = parts == 1 and z.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
+        law = small_law(loop, z.shape[1] if small else 0)
+        fastest = _fastest_rate(mass, spring, places, tree, pairs, mobility, modes, q, v, w, grip)
         status = kernels.FINISHED if longest * fastest <= _MANY else kernels.TOO_STIFF
     if tape.shape[0] > 0:
         _write_row(tape[0], -1, 0.0, -1, modes, at, q, v, w, a, a)
     while k < clock and status == kernels.FINISHED:
         limited = False
-        if tree is None:  # noqa: SIM102 (it is not compiled for robots)
-            if straight:
-                mode = affine.enter_mode(
-                    bands, pieces, mass, spring, modes, at, v, 0.0, lengths, filled, rates, moves, bends
-                )
-                k, part = affine.ride(
-                    mass, spring, bounds, loop, law, small, before[0], far[0], rates, moves, bends, mode, states,
-                    kept_modes, q, v, z, fresh, cut, command[0], excess[0], counts, k, part,
-                )  # fmt: skip
-                if k == clock:
-                    break
+        if path is not None:
+            mode = affine.enter_mode(
+                bands, pieces, mass, spring, modes, at, v, 0.0, lengths, filled, rates, moves, bends
+            )
+            k, part = affine.ride(
+                mass, spring, bounds, loop, law, small, before[0], far[0], rates, moves, bends, mode, states,
+                kept_modes, q, v, z, fresh, cut, command[0], excess[0], counts, k, part,
+            )  # fmt: skip
+            if k == clock:
+                break
         for j in range(axes):
-            if not straight and every[j] > 1 and k % every[j] != 0:  # this controller holds
+            motor = np.uint64(0) if tree is None else motors[j]
+            if path is None and every[j] > 1 and k % every[j] != 0:  # this controller holds
                 command[j, k] = command[j, k - 1]
-            elif not straight:
+            elif path is None:
                 own = k // every[j] if every[j] > 1 else k
-                command[j, k] = control_any(loop, j, own, q[motors[j]], z, fresh, cut)
+                command[j, k] = control_any(loop, j, own, q[motor], z, fresh, cut)
                 if excess.shape[1] > 0:
                     assign(excess[j, own], cut)
                 limited = limited or cut[outputs[j]] != 0.0
-            if not (abs(q[motors[j]]) <= far[j] and abs(command[j, k]) < np.inf):
+            if not (abs(q[motor]) <= far[j] and abs(command[j, k]) < np.inf):
                 status = kernels.DIVERGED
         if status != kernels.FINISHED:
             break
         counts[3] += 1 if limited else 0
         time, before_period = k * period, events
-        first, end = (part, part + 1) if straight else (0, parts)
+        first, end = (part, part + 1) if path is not None else (0, parts)
         for part in range(first, end):
             for j in range(axes):
-                source, motor = k - lags[j, part], motors[j]
+                source, motor = k - lags[j, part], np.uint64(0) if tree is None else motors[j]
                 torque = command[j, source] + post[j, source] if source >= 0 else before[j]
                 a[motor] += (torque - drive[motor]) * mobility[motor]  # all that changes, unless a mass settles
                 drive[motor] = torque
-            left, settles = lengths[part], coupled or k == 0 or straight
+            left, settles = lengths[part], coupled or k == 0 or path is not None
             for i in range(nd):
                 settles = settles or modes[i] == 0.0 or v[i] == 0.0
             while left > 0.0 and status == kernels.FINISHED:
                 for j in range(places.shape[0]):
-                    laws.turn_place(places, j, q[int(places[j, kernels.WHERE])], turned)
+                    laws.turn_place(places, j, _read(q, places[j, kernels.WHERE]), turned)
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
                         mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive, time,
@@ -436,46 +479,53 @@ def run(
                         break
                     if not settle(mass, modes, v, a, held, grip, turn <= nd):
                         break
-                for s in range(ns if settles else 0):  # a deflection at rest goes where its ends accelerate to
-                    one, two = pairs[s, 0], pairs[s, 1]
-                    turns = v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0
+                for s in range(ns):  # a deflection at rest goes where its ends accelerate to
+                    one, two = _tied(tree, pairs, s)
+                    turns = settles and v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0
                     if turns and spring[s, kernels.WINDING] > 0.0:
                         modes[nd + s] = -modes[nd + s]
                 if rate == 0.0 and (settles or varies or fastest == 0.0):
-                    fastest = laws.fastest_rate(mass, spring, places, pairs, mobility, modes, q, v, w, grip)
-                steps_left = left * fastest / reach
+                    fastest = _fastest_rate(mass, spring, places, tree, pairs, mobility, modes, q, v, w, grip)
+                steps_left = left * fastest / reach * (1.0 - _ROOT)
                 if not left * fastest <= _MANY or (rate == 0.0 and steps * reach > work * (clock * parts + 100)):
                     status = kernels.TOO_STIFF
                 if status != kernels.FINISHED:
                     break
-                if straight:
+                if path is not None:
                     mode = affine.enter_mode(
                         bands, pieces, mass, spring, modes, at, v, 1.0, lengths, filled, rates, moves, bends
                     )
                     if left == lengths[part] and kept_modes.size > 0:  # in which it begins to move
                         kept_modes[k * parts + part] = mode
-                h = left
-                if steps_left * (1.0 - _ROOT) > 1.0:  # a branch: nothing waits for the division
-                    h = left / math.ceil(steps_left * (1.0 - _ROOT))
+                h = left / math.ceil(steps_left) if steps_left > 1.0 else left
                 known, dips, looks, tries = -1, False, True, 0
                 share, low, high, above, below, kept = 1.0, 0.0, 1.0, 0.0, 0.0, 0
                 if settles:  # else they are as the step before has left them
-                    _watch(spring, pairs, modes, bounds, q, v, held, grip, guards)
+                    _watch(spring, tree, pairs, modes, bounds, q, v, held, grip, guards)
                 while True:
                     d = share * h
-                    for stage in range(3 if straight else 0, 4):
-                        if straight:
+                    for i in range(nd):
+                        v1[i], a1[i], between[i] = v[i], a[i], -a[i]
+                    for stage in range(0 if path is None else 3, 4):
+                        gone = 0.5 * d if stage < 2 else d
+                        if path is not None:
                             moved = affine.flow(rates[mode], d, affine.read_state(q, v), drive[0], 1.0)
                             affine.write_state(moved, q1, v1)
-                        else:
-                            _go_to_stage(stage, d, q, v, a, second, third, a1, q1, v1)
-                        gone = 0.5 * d if stage < 2 else d
-                        for i in range(nd if winds else 0):
-                            w1[i] = laws.wind(mass, i, modes[i], q1[i] - q[i], gone, w[i])
-                        for s in range(ns if winds else 0):
-                            one, two = pairs[s, 0], pairs[s, 1]
-                            e = (q1[two] - q1[one]) - (q[two] - q[one])
-                            w1[nd + s] = laws.wind(spring, s, modes[nd + s], e, gone, w[nd + s])
+                        for i in range(nd if path is None else 0):
+                            if stage < 3:
+                                between[i] += a1[i]
+                                q1[i], v1[i] = q[i] + gone * v1[i], v[i] + gone * a1[i]
+                            else:
+                                q1[i] = q[i] + d * (v[i] + d / 6.0 * (a[i] + between[i]))
+                                v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between[i] + a1[i])
+                        for i in range(nd):
+                            if mass[i, kernels.WINDING] > 0.0:
+                                w1[i] = laws.wind(mass, i, modes[i], q1[i] - q[i], gone, w[i])
+                        for s in range(ns):
+                            one, two = _tied(tree, pairs, s)
+                            if spring[s, kernels.WINDING] > 0.0:
+                                e = (q1[two] - q1[one]) - (q[two] - q[one])
+                                w1[nd + s] = laws.wind(spring, s, modes[nd + s], e, gone, w[nd + s])
                         if tree is not None:
                             equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
                             for i in range(links):
@@ -490,25 +540,25 @@ def run(
                         break
                     steps += 1
                     tries += 1
-                    _watch(spring, pairs, modes, bounds, q1, v1, held1, grip1, ends)
+                    _watch(spring, tree, pairs, modes, bounds, q1, v1, held1, grip1, ends)
                     if looks:  # at first, and where an event is located, since another may come before
                         found, where = _find_first(modes, d, guards, ends, a, a1, known, tries == 1)
                         if found < 0 or tries > _CLOSER:
                             break
                         known, looks, dips, low, high, kept = found, False, where < 1.0, 0.0, share, 0
-                        above, below = guards[known], ends[known]
+                        above, below = _read(guards, known), _read(ends, known)
                         if dips:
                             share = where
                             continue
-                    elif ends[known] > 0.0:
+                    elif _read(ends, known) > 0.0:
                         if dips:  # the cubic dips, but not the motion
                             known, looks, dips = -1, True, False
                             continue
                         below *= 0.5 if kept > 0 else 1.0
-                        low, above, kept = share, ends[known], 1
+                        low, above, kept = share, _read(ends, known), 1
                     else:
                         above *= 0.5 if kept < 0 else 1.0
-                        high, below, kept, dips = share, ends[known], 0 if dips else -1, False
+                        high, below, kept, dips = share, _read(ends, known), 0 if dips else -1, False
                     if high - low <= _ROOT or below == 0.0 or tries > _CLOSER:
                         share, looks = high, True
                         continue
@@ -521,10 +571,12 @@ def run(
                     _write_row(tape[rows], k * parts + part, d, known, modes, at, q, v, w, a, a1)
                 rows += 1
                 for i in range(nd):
-                    q[i], v[i], a[i], held[i], grip[i] = q1[i], v1[i], a1[i], held1[i], grip1[i]
+                    q[i], v[i], a[i] = q1[i], v1[i] if i != float(known) else 0.0, a1[i]
+                    held[i], grip[i] = held1[i], grip1[i]
                 for i in range(nd + ns):
                     w[i] = modes[i] if abs(modes[i] - w1[i]) < _WOUND_UP else w1[i]
-                assign(guards, ends)
+                for i in range(guards.size):
+                    guards[i] = ends[i]
                 time += d
                 left = 0.0 if share == 1.0 and h == left else left - d
                 settles = known >= 0
@@ -535,11 +587,11 @@ def run(
                         _enter(known - nd - ns, masses, springs, modes, at, mass, spring, bounds)
                     if events - before_period > _EVENTS:
                         status = kernels.CHATTERING
-            if straight:
+            if path is not None:
                 if rows < tape.shape[0]:
                     _write_row(tape[rows], k * parts + part, 0.0, -1, modes, at, q, v, w, a, a)
                 rows += 1
-        part = part + 1 if straight and part + 1 < parts else 0
+        part = part + 1 if path is not None and part + 1 < parts else 0
         k += 1 if status == kernels.FINISHED and part == 0 else 0
     counts[0], counts[1], counts[2] = events, rows, k
     return status

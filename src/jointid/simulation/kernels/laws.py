@@ -17,9 +17,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, inline_kernel
 from jointid.models.friction import LAW, WINDS
 from jointid.simulation import kernels
-from jointid.simulation.kernels import IndexArray
-
-_WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 
 
 @inline_kernel
@@ -68,12 +65,8 @@ def spring_torque(spring: FloatArray, s: int, e: float, de: float, w: float) -> 
 @inline_kernel
 def spring_partials(spring: FloatArray, s: int, e: float, de: float, w: float, k: FloatArray, row: int) -> float:
     """Write the partials of a spring's torque by its numbers into a row of `k`; return that by the deflection."""
-    k[row, kernels.STIFFNESS], k[row, kernels.DAMPING], k[row, kernels.CUBIC], k[row, kernels.SLIPS] = (
-        e,
-        de,
-        e * e * e,
-        w,
-    )
+    k[row, kernels.STIFFNESS], k[row, kernels.DAMPING] = e, de
+    k[row, kernels.CUBIC], k[row, kernels.SLIPS] = e * e * e, w
     return float(spring[s, kernels.STIFFNESS] + 3.0 * spring[s, kernels.CUBIC] * e * e)
 
 
@@ -125,34 +118,3 @@ def place_partials(places: FloatArray, j: int, q: float, k: FloatArray, row: int
     cos, sin = math.cos(wave * q), math.sin(wave * q)
     k[row, kernels.COS], k[row, kernels.SIN], k[row, kernels.RATE] = -cos, -sin, -q
     return float(wave * (places[j, kernels.COS] * sin - places[j, kernels.SIN] * cos) - places[j, kernels.RATE])
-
-
-@inline_kernel
-def fastest_rate(
-    mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, mobility: FloatArray,
-    modes: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, grip: FloatArray,
-) -> float:  # fmt: skip
-    """Return a bound in 1/s on how fast the motion changes by itself, or what acts on it changes with it."""
-    nd, square, rate = q.size, 0.0, 0.0
-    for i in range(nd):
-        rate += max(abs(mass[i, kernels.VISCOUS]), abs(mass[i, kernels.VISCOUS_BACK])) * mobility[i]
-        tangent = abs(wind_up(mass, i, modes[i], modes[i], w[i])[0])
-        if tangent > _WINDS * mass[i, kernels.WINDING]:
-            square += grip[i] * tangent * mobility[i]
-            rate += abs(wind_up(mass, i, modes[i], v[i], w[i])[1])
-    for s in range(pairs.shape[0]):
-        one, two = pairs[s, 0], pairs[s, 1]
-        e, both = q[two] - q[one], mobility[one] + mobility[two]
-        stiffness = spring[s, kernels.STIFFNESS] + max(3.0 * spring[s, kernels.CUBIC] * e * e, 0.0)
-        left = abs(modes[nd + s] - w[nd + s])
-        if spring[s, kernels.WINDING] > 0.0 and left > _WINDS:
-            stiffness += spring[s, kernels.SLIPS] * spring[s, kernels.WINDING] * left
-            rate += abs(v[two] - v[one]) * spring[s, kernels.WINDING]
-        square += stiffness * both
-        rate += spring[s, kernels.DAMPING] * both
-    for j in range(places.shape[0]):
-        i, wave = int(places[j, kernels.WHERE]), abs(places[j, kernels.WAVE])
-        slope = wave * (abs(places[j, kernels.COS]) + abs(places[j, kernels.SIN])) + abs(places[j, kernels.RATE])
-        square += slope * mobility[i]
-        rate += wave * abs(v[i])
-    return math.sqrt(square) + rate

@@ -82,10 +82,9 @@ def _fill_factors(
         assign(mass[i], masses[i, int(tape[row, at + i])])
     for s in range(ns):
         laws.take_piece(springs, s, int(tape[row, at + nd + s]), spring)
-    for values in (f, k):
-        for i in range(values.shape[0]):
-            for x in range(values.shape[1]):
-                values[i, x] = 0.0
+    for values in (f.reshape(-1), k.reshape(-1)):
+        for i in range(values.size):
+            values[i] = 0.0
     for end in range(2):
         side = end - 0.5
         for s in range(ns):
@@ -156,7 +155,7 @@ def _flush(values: FloatArray) -> None:
 
 
 @inline_kernel
-def _join(pairs: IndexArray, carriers: IntArray, f: FloatArray, K: FloatArray, C: FloatArray, G: FloatArray) -> None:
+def _join(pairs: IndexArray, f: FloatArray, K: FloatArray, C: FloatArray, G: FloatArray) -> None:
     """Add masses and springs to stiffness, damping and inputs; friction may carry a torque."""
     nd = len(K)
     for i in range(nd):
@@ -164,9 +163,7 @@ def _join(pairs: IndexArray, carriers: IntArray, f: FloatArray, K: FloatArray, C
         C[i, i] += f[_DRAG, i]
     for s in range(len(pairs)):
         one, two, pull, damp = pairs[s, 0], pairs[s, 1], f[_PULL, nd + s], f[_DAMP, nd + s]
-        near = 2.0 - f[_TAKES, one] if carriers[one] == s else 1.0
-        far = f[_TAKES, two] if carriers[two] == s else 1.0
-        for to, weight in ((one, near), (two, -far)):
+        for to, weight in ((one, 1.0), (two, -f[_TAKES, two])):  # the far mass carries its torque
             K[to, one] += weight * pull
             K[to, two] -= weight * pull
             C[to, one] += weight * damp
@@ -286,7 +283,7 @@ def _pass_event(
 @compile_kernel
 def follow(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, torques_before: FloatArray,
-    torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path, seeds: Seeds, first_q: FloatArray,
+    torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path | None, seeds: Seeds, first_q: FloatArray,
     first_v: FloatArray, dz: FloatArray, explicit: FloatArray, columns: IntArray, dlimits: FloatArray,
     command: FloatArray, states: FloatArray, speeds: FloatArray,
 ) -> None:  # fmt: skip
@@ -319,30 +316,29 @@ def follow(
     inverse, left, K, C = M.copy(), M.copy(), M.copy(), M.copy()
     turns = _WHOLE if controlled and tree is not None else _COMPOSED
     jumps = np.zeros(axes, dtype=np.bool_)
-    straight, kept, modes, rates = path
-    maps, inputs, in_lanes = rates.shape[0], affine.INPUTS, np.zeros(affine.SCRATCH)
-    filled, moves = np.zeros(maps, dtype=np.bool_), np.empty((maps * parts, inputs, 4))
-    pushes = np.empty((maps * parts, inputs * affine.WIDE))
-    small = straight and dz.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
-    law = small_law(loop, dz.shape[1] if small else 0)
-    plain = small and len(states) + len(seeds.delays) == 0
+    if path is not None:
+        kept, modes, rates = path
+        maps, inputs, in_lanes = rates.shape[0], affine.INPUTS, np.zeros(affine.SCRATCH)
+        filled, moves = np.zeros(maps, dtype=np.bool_), np.empty((maps * parts, inputs, 4))
+        pushes = np.empty((maps * parts, inputs * affine.WIDE))
+        small = dz.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
+        law = small_law(loop, dz.shape[1] if small else 0)
+        plain = small and len(states) + len(seeds.delays) == 0
     period, row, step, at_band = np.sum(lengths), 1, 0, STATE + 5 * nd + ns
     while step < steps:
         if step % OFTEN == 0:
-            _flush(dq.reshape(-1))
-            _flush(dv.reshape(-1))
-            _flush(dz.reshape(-1))
-        if tree is None:  # noqa: SIM102 (it is not compiled for robots)
-            if plain:
-                mode, taped = int(modes[step * parts]), row < last_row
-                then = int(tape[row, kernels.PART]) // parts if taped else steps
-                if filled[mode] and then != step and abs(torques[0, step]) < loop.limits[0, 0]:
-                    end = min(step - step % OFTEN + OFTEN, then)
-                    step = affine.glide_slopes(
-                        in_lanes, law, moves, pushes, mode, step, end, lags[0], torques_before[0], kept, torques[0],
-                        post[0], explicit[0], columns, dq, dv, dz[0], command[0],
-                    )  # fmt: skip
-                    continue
+            for values in (dq.reshape(-1), dv.reshape(-1), dz.reshape(-1)):
+                _flush(values)
+        if path is not None and plain:
+            mode, taped = int(modes[step * parts]), row < last_row
+            then = int(tape[row, kernels.PART]) // parts if taped else steps
+            if filled[mode] and then != step and abs(torques[0, step]) < loop.limits[0, 0]:
+                end = min(step - step % OFTEN + OFTEN, then)
+                step = affine.glide_slopes(
+                    in_lanes, law, moves, pushes, mode, step, end, lags[0], torques_before[0], kept, torques[0],
+                    post[0], explicit[0], columns, dq, dv, dz[0], command[0],
+                )  # fmt: skip
+                continue
         for j in range(axes if controlled else 0):
             own = step // every[j]
             if step % every[j] != 0:  # this controller holds
@@ -366,21 +362,20 @@ def follow(
                 drive[rotors[j]] = torques[j, source] + post[j, source] if source >= 0 else torques_before[j]
                 acts[j] = max(source, 0)
             last, edge = row - 1, len(seeds.delays) > 0 and at > 0
-            if tree is None:  # noqa: SIM102
-                if straight:
-                    stepped, mode, s = row < last_row and tape[row, kernels.PART] == at, int(modes[at]), drive[0]
-                    jump = (s - torque_before) * rates[mode, 0, 3]
-                    if kept[at, 1] == 0.0:  # an edge may tear it loose
-                        jump = tape[row, STATE + 2 * nd] if stepped else 0.0
-                    for d in range(len(seeds.delays) if edge and s != torque_before else 0):
-                        dv[0, seeds.delays[d, 0]] -= jump
-                    edge = False
-                    if not filled[mode]:
-                        filled[mode] = True
-                        affine.fill_tangent(masses, springs, seeds, mode, lengths, rates, moves, pushes)
-                    if not stepped:
-                        tangent = mode * parts + part
-                        affine.cross_slopes(in_lanes, moves, pushes, tangent, kept, at, s, command[0, acts[0]], dq, dv)
+            if path is not None:
+                stepped, mode, s = row < last_row and tape[row, kernels.PART] == at, int(modes[at]), drive[0]
+                jump = (s - torque_before) * rates[mode, 0, 3]
+                if kept[at, 1] == 0.0:  # an edge may tear it loose
+                    jump = tape[row, STATE + 2 * nd] if stepped else 0.0
+                for d in range(len(seeds.delays) if edge and s != torque_before else 0):
+                    dv[0, seeds.delays[d, 0]] -= jump
+                edge = False
+                if not filled[mode]:
+                    filled[mode] = True
+                    affine.fill_tangent(masses, springs, seeds, mode, lengths, rates, moves, pushes)
+                if not stepped:
+                    tangent = mode * parts + part
+                    affine.cross_slopes(in_lanes, moves, pushes, tangent, kept, at, s, command[0, acts[0]], dq, dv)
             while row < last_row and tape[row, kernels.PART] == at:
                 h = tape[row, kernels.LENGTH]
                 if h > 0.0:
@@ -421,7 +416,7 @@ def follow(
                     for e in range(len(seeds.links)):
                         for i in range(n):
                             G[0, i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
-                    _join(pairs, carriers, f, K, C, G)
+                    _join(pairs, f, K, C, G)
                     share = -0.5
                     for i in range(turns.size):
                         _move(h * turns[i], share + 0.5 * turns[i], f, M, K, C, G, left, rows, dq, dv)
