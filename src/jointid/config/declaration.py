@@ -28,7 +28,8 @@ Place: TypeAlias = tuple[int | str, ...]
 _MOST = 10**9  # largest integer
 _MOST_KEYS = 1000  # largest number of keys of a table or tables of a list, each of which may give a fault
 _WRONG: Any = object()  # placeholder of a faulty value
-_SHORT, _LONG = ("integral_time", "time_constant", "period", "delay"), 2.0  # s: a longer one may be in ms
+_SHORT = ("integral_time", "time_constant", "period", "delay", "position_gain")
+_LONG = {"s": (2.0, "ms"), "1/s": (500.0, "1/min")}  # of these: a larger one may be in this unit
 _MEANT = {"P-PI": "cascade", "P-P": "cascade", "rotary": "revolute", "rotation": "revolute", "linear": "prismatic"}
 
 OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
@@ -71,8 +72,7 @@ def keys_of(*owners: Any, system: str = "", without: Collection[str] = ()) -> di
     """Return the settings of classes as keys, of one system; duplicates keep a common default."""
     found: dict[str, list[Setting]] = {}
     for one in (one for owner in owners for one in settings_of(owner)):
-        foreign = system and one.systems and system not in one.systems
-        if one.name not in without and not foreign:
+        if one.name not in without and not (system and one.systems and system not in one.systems):
             found.setdefault(one.name, []).append(one)
     merged = {n: replace(same[0], help="; ".join(dict.fromkeys(one.help for one in same))) for n, same in found.items()}
     alike = {name for name, same in found.items() if len({str(one.default) for one in same}) == 1}
@@ -169,8 +169,7 @@ class Reader:
                 given[name] = value if value is _WRONG else product / value
         for name, one in table.keys.items():
             if one.required and name not in given:
-                rest = messages.missing(one.expected, one.description)
-                given[name] = self._refuse((*place, name), rest, "missing")
+                given[name] = self._refuse((*place, name), messages.missing(one.expected, one.description), "missing")
 
     def _single(self, one: Setting, raw: Any, place: Place) -> Any:
         """Convert and check a value that is no table."""
@@ -181,8 +180,9 @@ class Reader:
                 found = to_si(raw, one.unit)
             else:
                 found = _convert(str if one.choices else one.type, raw)
-            if one.name in _SHORT and place not in self.texts and found > _LONG:
-                return self._refuse(place, f' is {raw:g} s; expected its unit, as "{raw:g} ms": add it.', "unit")
+            most, unit = _LONG.get(one.unit, (math.inf, "")) if one.name in _SHORT else (math.inf, "")
+            if unit and place not in self.texts and found > most:
+                return self._refuse(place, f' is {raw:g} {one.unit}; add its unit, as "{raw:g} {unit}".', "unit")
             if one.accept is not None:
                 one.accept(found)
             elif fault := one.fault(found):
@@ -190,7 +190,7 @@ class Reader:
         except UnitError as error:
             found = self._refuse(place, str(error), "unit")
         except (ValueError, OverflowError):
-            timed = f' Or with its unit, as "{raw} ms".' if stated and one.name in _SHORT else ""
+            timed = f' Or with its unit, as "{raw} ms".' if stated and one.name in _SHORT and one.unit == "s" else ""
             found = self._refuse(place, messages.describe_unexpected_value(raw, one.expected) + timed)
         except JointidError as error:
             found = self._refuse(place, f": {error}")

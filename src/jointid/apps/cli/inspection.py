@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _FAULTY = 3  # exit code for a faulty record, or for any finding
 _NAMES = {
-    "torque": "torque|moment|force|kraft|current|strom",
+    "torque": "torque|moment|force|kraft|current|strom|\\biq",
     "reference": "(pos|lage|angle|winkel|^[xq]_).*(soll|set|ref|com|cmd)",
     "motor_position": "(pos|lage|angle|winkel).*(ist|act|meas|mot)",
 }
