@@ -342,8 +342,8 @@ def _tell(estimate: Estimate, asked: EstimatedParameter) -> Message:
             (least, hertz, _), code = min(bounds), "lower_bound"
             words += f": at least {number(float(f'{least:.2e}'), 3)} {asked.unit}, mode above {number(hertz, 2)} Hz"
         if least is not None and len(bounds) < len(stated):
-            shares = dict.fromkeys(f"{100 * share:.0f}" for _, _, share in (bounds[0], bounds[-1]))
-            words += f", for a load of {' to '.join(shares)} % of the inertia"
+            shares = [f"{100 * share:.0f}" for _, _, share in bounds]  # a share between two of them may have no bound
+            words += f", for a load of {join(shares)} % of the inertia"
     elif mode is not None:
         words += f", mode {number(mode, 3)} Hz"
     two_sigma = None if asked.deviation is None else INTERVAL * asked.deviation
