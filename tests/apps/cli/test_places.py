@@ -89,7 +89,7 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
         write_whole(tmp_path, b"a folder")
 
 
-@pytest.mark.parametrize(("unit", "read", "torque"), [("°", "rad", "Strom [A]"), ("mm", "m", "Moment [Nm]")])
+@pytest.mark.parametrize(("unit", "read", "torque"), [("°", "rad", "iq set [A]"), ("mm", "m", "Moment [Nm]")])
 def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, unit: str, read: str, torque: str) -> None:
     (place / "own.csv").write_text(f"Zeit [ms];{torque};Lage-Soll [{unit}]\n0;1,5;0,5\n1;2,5;1,0\n", encoding="cp1252")
     assert run("inspect", "own.csv", "--write", "own.toml") == 0
