@@ -125,8 +125,7 @@ def test_another_spelling_of_a_pattern_means_the_same(place: Path, records: str)
     same = [case.content_hash for case in campaign(place, FLEET)]
     found = campaign(place, FLEET.replace("logs/{joint}/{day}.npy", records))
     assert [case.content_hash for case in found] == same
-    there = load_campaign(place / "x" / ".." / "campaign.toml")
-    assert [case.content_hash for case in there.cases] == same
+    assert [case.content_hash for case in load_campaign(place / "x" / ".." / "campaign.toml").cases] == same
 
 
 @pytest.fixture

@@ -68,8 +68,7 @@ def test_a_faulty_table_is_refused(place: Path, table: str) -> None:
 
 
 def test_one_number_out_of_its_bounds_among_many_is_a_refused_case(place: Path) -> None:
-    found = listed(place, "name,filtering.cutoff\na,40\nb,-1\n")
-    assert run_case(found[-1]).outcome is Outcome.REFUSED
+    assert run_case(listed(place, "name,filtering.cutoff\na,40\nb,-1\n")[-1]).outcome is Outcome.REFUSED
 
 
 def test_a_joint_has_a_file_of_its_own(place: Path) -> None:

@@ -172,8 +172,7 @@ def test_a_learned_law_behind_a_gear_is_read_back_with_its_gain(constant: str, g
     text = changed(('"0.8 A s/rad"', "0.8"), ('torque_constant = "0.72 N m/A"', said), ("[controller]", drive))
     file = loads(text)
     learned = Cascade(position_gain=3.0, velocity_gain=4.0, gain=gain)  # on the side of its record: the load's
-    written = controller_text(learned, file.axis)
-    assert loads(edit(text, replace_table(written))).controller == learned
+    assert loads(edit(text, replace_table(controller_text(learned, file.axis)))).controller == learned
 
 
 def test_limits_of_the_axis_are_given_with_units_of_its_own_motion() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.diagnostics import search
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.changes import PERIOD, list_variants
 from jointid.diagnostics.search import _list_late
@@ -160,3 +161,13 @@ def test_what_moves_a_value_by_less_than_a_thousandth_is_in_its_interval() -> No
     assert abs(inertia.value - RIGID["inertia"]) > 5 * inertia.stderr
     assert inertia.interval[0] < RIGID["inertia"] < inertia.interval[1]
     assert found.answer.reliable
+
+
+def test_what_leaves_no_less_is_not_named_and_no_rate_is_fitted_that_explains_far_less(monkeypatch) -> None:
+    record, loop = drive(CASCADE, 1, noise=0.05)
+    wrong = replace(loop, controller=replace(loop.controller, velocity_gain=1.1 * loop.controller.velocity_gain))
+    fit = lambda _, law, *__: pytest.fail("it was fitted") if law.fault is PERIOD else None  # noqa: E731
+    monkeypatch.setattr(search, "_test_law", fit)
+    monkeypatch.setattr(search, "_correct", lambda found, one: (found, found.problem.values(found.x) | {one.name: 0.0}))
+    faults = faults_of(identify(record, wrong), record)
+    assert (faults.findings, faults.explained) == ((), 0.0)

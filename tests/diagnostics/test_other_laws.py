@@ -112,8 +112,7 @@ def test_no_law_of_the_reference_is_chosen_that_leaves_more_than_the_declared_on
         LawTest(None, None, None, FaultTest(fault, (), 0.0, 1.0, 0.1, 1e-9), gain)  # type: ignore[arg-type]
         for fault, gain in zip((REFERENCE_DELAY, AVERAGED), gains, strict=True)
     ]
-    found = choose_law(laws)
-    assert found is (None if chosen is None else laws[chosen])
+    assert choose_law(laws) is (None if chosen is None else laws[chosen])
 
 
 def test_a_fault_that_is_impossible_and_explains_more_hides_no_law() -> None:

@@ -80,8 +80,7 @@ def test_each_of_several_records_is_an_own_one() -> None:
 def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
     record = made(0.13, 4)
     turned = record.with_channels({"torque": replace(record.torque, values=-record.torque.values)})
-    code = answer(turned)
-    assert code == Prediction.NOT_PREDICTED
+    assert answer(turned) == Prediction.NOT_PREDICTED
 
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])

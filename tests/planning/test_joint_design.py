@@ -79,8 +79,7 @@ def test_without_a_record_a_test_keeps_limits_of_jerk_and_positions(monkeypatch:
     assert found.axes[0].limits.stated["stroke"] == 1.5 and not found.passed
     assert found.present is None and found.floor is None
     outside = planned_record(LOOP, 0.8 + 0.5 * (1.0 - np.cos(np.arange(4000) * 4e-3)), 1e-3)
-    told = ji.design(LOOP, motion=outside, **asked)
-    assert told.passed
+    assert ji.design(LOOP, motion=outside, **asked).passed
 
 
 def test_no_plan_comes_below_the_floor() -> None:

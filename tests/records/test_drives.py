@@ -45,8 +45,7 @@ def test_a_cia402_trace_needs_two_numbers(tmp_path: Path) -> None:
 )
 def test_case_and_punctuation_of_a_name_do_not_matter(tmp_path: Path, name: str) -> None:
     path = trace(tmp_path, t=TIME, **{name: PER_MILLE})
-    record = ji.read(path, drive=Drive("cia402", rated_torque=RATED), kind="revolute")
-    assert record.channels == ("torque",)
+    assert ji.read(path, drive=Drive("cia402", rated_torque=RATED), kind="revolute").channels == ("torque",)
 
 
 def test_what_is_declared_wins(tmp_path: Path) -> None:
@@ -88,8 +87,7 @@ def test_a_torque_constant_takes_ampere_to_newton_metres(tmp_path: Path) -> None
     record = ji.read(path, columns, drive=Drive(torque_constant=0.5), kind="revolute")
     assert record.torque.unit == "N m"
     np.testing.assert_allclose(record.torque.values, TORQUE * 0.5e-3)
-    plain = ji.read(path, columns, kind="revolute").torque
-    assert plain.unit == "A"
+    assert ji.read(path, columns, kind="revolute").torque.unit == "A"
 
 
 def test_every_unit_of_a_drive_comes_out_in_si() -> None:

@@ -131,8 +131,7 @@ def test_a_heavy_load_does_not_move_a_motor_that_is_held() -> None:
     )
     robot = Robot((link,), (RobotJoint("arm", 10.0, spring=JointSpring(4.6e6, 1e4, 1.0, 1.0)),))
     motion = prescribe(np.zeros((15001, 1)), 4e-3, 1, robot.tree, True)
-    found = run_drive_side(motion, Numbers.of(robot))
-    assert found.torque[[0, -1], 0] == pytest.approx(-981.0, rel=1e-5)
+    assert run_drive_side(motion, Numbers.of(robot)).torque[[0, -1], 0] == pytest.approx(-981.0, rel=1e-5)
 
 
 def test_what_cannot_be_simulated_is_said() -> None:

@@ -227,11 +227,6 @@ def _try_limit(case: Case) -> Iterator[Case]:
         yield case.at("limit", (abs(case.torque.values / (law.gain * law.ratio)).max(),))
 
 
-def _swap_channels(case: Case) -> Iterator[Case]:
-    if len(case.torque) == len(case.reference):
-        yield case.logging(torque=case.reference.values, reference=case.torque.values)
-
-
 def _try_sample_times(case: Case) -> Iterator[Case]:
     assert case.filtering.cutoff is not None and case.filtering.position_cutoff is not None
     own = getattr(case.controller, "period", None)  # of which a whole number passes from sample to sample
@@ -299,11 +294,6 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
             yield from causes
 
 
-def _say_sample_time(value: float | None, _: Case) -> Iterator[Cause]:
-    assert value is not None
-    yield Cause("sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value)
-
-
 def _say_number(name: str, clause: str, value: float | None, case: Case) -> Iterator[Cause]:
     """Yield one mistake; its clause may contain {name}, {shown}, {declared} and {or_log}."""
 
@@ -333,8 +323,13 @@ _SIGNS = [
 ]
 CHANGES = (
     Change("torque_sign", lambda case: [case.logging(torque=-case.torque.values)], lambda *_: _SIGNS),
-    _row("swapped_channels", _swap_channels, "torque and reference are swapped"),
-    Change("sample_time", _try_sample_times, _say_sample_time),
+    _row(
+        "swapped_channels", lambda case: [case.logging(torque=case.reference.values, reference=case.torque.values)]
+        * (len(case.torque) == len(case.reference)), "torque and reference are swapped",
+    ),
+    Change("sample_time", _try_sample_times, lambda value, _: [
+        Cause("sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value)
+    ] if value else []),
     Change("torque_scale", _try_torque_scales, partial(_say_factor, True)),
     Change("law_gain", _try_factors, partial(_say_factor, False)),
     _row("position_gain", partial(_try_number, "position_gain", _GAINS)),

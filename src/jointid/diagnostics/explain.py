@@ -3,8 +3,9 @@
 Sensitivities show small deviations of one number (`search`); for a large one the best fit among them is any number.
 So each mistake is corrected in turn (`changes`), the joint is identified again, and the causes are ranked by residual.
 
-Of each case the best start is followed for a few steps; poor cases are given up. A flexible joint is first identified
-as rigid, far below its resonance; the rest are fitted to the whole band with a mode, then at the joint of the best.
+Of each case the best start is followed for a few steps, then as long as a step promises a part of what it lacks to be
+as good as the best. A flexible joint begins as it was identified, if nearly right; else as rigid, far below its
+resonance, then in the whole band with a mode. At last all begin again at the joint of the best.
 
 The search assumes one mistake. A number may absorb much of two: so the residual of a cause must be about that of free
 linear responses to the reference (`model_free`), and the likeliest fault beside it may not be an impossible one.
@@ -50,7 +51,6 @@ from jointid.simulation.plant import DELAY
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
-_PERIODS = 10_000_000  # of controllers, simulated with all derivatives in some 10 s of the processor: to their ends
 _ENOUGH, _SECONDS = 20_000, 4.0  # periods, and s, of a record's beginning that shows a gross mistake
 _FITS = 0.15  # of the torque: largest residual of a right model
 _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
@@ -63,6 +63,7 @@ _AS_GOOD, _NOTCH = 1.1, 1.01  # times the least error: it may be the cause, too;
 _UNRELATED = 0.95  # of the torque: so much that is no response to the reference is another signal's
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, or of no response said
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
+_LITTLE, _PROMISED = 0.01, 0.25  # of the squares, and of what a case lacks to the best: a step that is worth it
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
 _BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
 _ROUGHLY, _SWINGS = 0.05, 10.0  # of the torque: what a rigid model of a flexible joint adds; periods of its cut-off
@@ -212,12 +213,7 @@ def find_causes(
 ) -> Causes:
     """Search for the cause of a misfit between record and declared drive.
 
-    Args:
-        record: with all channels of the loop, of which none is constant.
-        loop: as declared.
-        estimate: of the joint under it, if there is one: its filter is used, and its error if smaller.
-        progress: called with each step.
-        free: names of free numbers outside the joint, as the delay; those of the estimate, if there is one.
+    Of an `estimate` filter, joint, error and the free numbers outside the joint are used; else `free` names these.
     """
     left = math.inf if estimate is None else estimate.fit.filtered_error
     if (plain := model_free.find_plain_cause(record)) is not None:
@@ -236,11 +232,16 @@ def find_causes(
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
     flexible = loop.joint.model == "flexible"  # and rigid far below its resonance
-    fits = _race([_list_rigid_starts(one) for one in tried], _ROUGHLY * flexible)
+    solved: dict[str, Any] = {} if estimate is None else {row.name: row.value for row in estimate.rows}
+    begin = None
+    if posed is not None and flexible and left <= _SUSPICIOUS and None not in solved.values():
+        begin = Fit(declared, posed, posed.vector(solved))  # a joint that is nearly right
+    known = [] if begin is None else [_list_flexible_starts(replace(begin, case=one), begin) for one in tried]
+    fits = _race(known or [_list_rigid_starts(one) for one in tried], 0.0 if known else _ROUGHLY * flexible)
     if flexible:
         near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
-        fits = _race([_list_flexible_starts(one) for one in near])
-        # The joint of the best case is nearer to that of the right one than any start with a mode.
+        fits = near if known else _race([_list_flexible_starts(one) for one in near])
+        # The joint of the best case is nearer to that of the right one than any other start.
         fits = sorted([*fits, *_race([_list_flexible_starts(one, fits[0]) for one in fits])], key=lambda one: one.error)
     as_declared = [fit for fit in fits if fit.case.change is None]
     left = min((left, *(fit.error for fit in as_declared)))
@@ -328,13 +329,12 @@ def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Solution of a case: problem, parameters, residual share of the torque, and evaluations of its descents."""
+    """Solution of a case: problem, parameters, and residual share of the torque."""
 
     case: Case
     problem: ClosedLoopProblem
     x: FloatArray
     error: float = math.inf
-    evaluations: int = 0
 
     @property
     def number(self) -> float | None:
@@ -356,16 +356,15 @@ class Fit:
             return self
         return replace(self, problem=self.problem.under(replace(law, period=own), self.case.record))
 
-    def descend(self, evaluations: int) -> Fit | None:
-        """Return the fit after a limited descent; None if it fails."""
+    def descend(self, evaluations: int, worth: float = 0.0) -> Fit | None:
+        """Return the fit after a limited descent, of steps that are `worth` it; None if it fails."""
         try:
             with np.errstate(all="ignore"):
-                solution = solve(self.problem, LevenbergMarquardt(1e-4, evaluations), self.x)  # shows its residual
+                solution = solve(self.problem, LevenbergMarquardt(1e-4, evaluations, worth=worth), self.x)
         except FAILS:  # a loop that runs away, or a part of the law that vanishes
             return None
         error = float(np.linalg.norm(solution.residual)) / self.problem.size
-        used = self.evaluations + solution.evaluations
-        return replace(self, x=solution.x, error=error, evaluations=used) if error < _ASTRAY else None
+        return replace(self, x=solution.x, error=error) if error < _ASTRAY else None
 
 
 def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> list[Fit]:
@@ -376,13 +375,15 @@ def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> list[Fit]:
     """
     begun = itertools.chain.from_iterable(in_threads(list, starts))
     tried = _best_of_each(fit for fit in in_threads(Fit.begin, [*begun]) if fit.error < _ASTRAY)
-    fits = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW), tried)))
-    least, spent = fits[0].error if fits else 0.0, 0
+    fits = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW, _LITTLE), tried)))
+    least = fits[0].error if fits else 0.0
     for k, fit in enumerate(fits):
-        if fit.error <= max(_BEHIND * least, least + loss) and spent <= _PERIODS:
-            begin = fit if loss else fit.restore_period()  # to its minimum, where its number can be stated
-            fits[k] = begin.descend(_TO_ITS_END) or fit
-            spent += (fits[k].evaluations - fit.evaluations) * begin.problem.axis.periods
+        goal = max(_AS_GOOD * least, least + loss)
+        if fit.error <= max(_BEHIND * least, goal):
+            lacks = 1.0 - (goal / (max(fit.error, goal) or 1.0)) ** 2
+            end = fit.descend(_TO_ITS_END, max(_PROMISED * lacks, _LITTLE if loss else 0.0)) or fit
+            own = end.restore_period() if end.error <= goal and not loss else end  # where its number is stated
+            fits[k] = end if own is end else own.descend(_TO_ITS_END) or end
             least = min(least, fits[k].error)
     return _best_of_each(fits, lambda case: (id(case.change), id(case.record), id(case.loop)))
 
@@ -412,7 +413,7 @@ def _list_rigid_starts(case: Case) -> Iterator[Fit]:
 def _list_flexible_starts(fit: Fit, best: Fit | None = None) -> Iterator[Fit]:
     """Yield starts near a fit's number and at others: with modes of its rigid joint, or the joint of the best fit."""
     case, values = fit.case, fit.problem.values(fit.x)
-    known = case.free in case.numbers and values[case.free] > _VANISHES * min(case.starts)
+    known = case.free in case.numbers and values.get(case.free, 0.0) > _VANISHES * min(case.starts)
     near = [values[case.free] * by for by in _NEAR] if known else []
     case = case.at(case.free, (*near, *(case.starts if not near or len(case.starts) <= 10 else ())))
     values = values if best is None else best.problem.values(best.x)

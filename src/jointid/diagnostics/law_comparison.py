@@ -157,16 +157,6 @@ def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
     return np.unique(place, return_inverse=True)[1]
 
 
-def predict_held_out(error: FloatArray, slopes: FloatArray, parts: NDArray[np.intp]) -> FloatArray:
-    """Errors, (rows,), of each part predicted without it, with derivatives `slopes`."""
-    found = np.zeros_like(error)
-    for time in range(TIMES):
-        kept = parts % TIMES == time
-        step = np.linalg.lstsq(slopes[~kept], error[~kept], rcond=None)[0]
-        found[kept] = error[kept] - slopes[kept] @ step
-    return found
-
-
 def judge(solved: Solved, law: Spring | Friction | None) -> JudgedLaw:
     """Identified law (None: rigid), with squared errors on held-out parts.
 
@@ -178,7 +168,9 @@ def judge(solved: Solved, law: Spring | Friction | None) -> JudgedLaw:
     parts = cut(problem)
     reached = np.any(slopes, axis=0)  # not of a piece that the record never reaches
     shared = np.array([p.name not in INITIAL for p in problem.free])  # a first state is shown by the first part alone
-    apart = predict_held_out(error, (slopes / column_norms(slopes))[:, reached & shared], parts)
+    columns, apart = (slopes / column_norms(slopes))[:, reached & shared], np.zeros_like(error)
+    for kept in (parts % TIMES == time for time in range(TIMES)):  # each part is predicted without it
+        apart[kept] = error[kept] - columns[kept] @ np.linalg.lstsq(columns[~kept], error[~kept], rcond=None)[0]
     known = uncertainty(Influence(-slopes, error), problem.cells(problem.simulate(x))).covariance.std
     std = {p.name: float(one) for p, one, seen in zip(problem.free, known, reached, strict=True) if seen}
     values, own, said = problem.values(x), [p.name for p in _parameters(problem.joint, law)], list[str]()

@@ -47,7 +47,7 @@ from jointid.uncertainty.position_dependent_error import RESTING, cells
 MOST = 3  # faults of one axis
 _NEAR = 0.5  # p-value of a fault of the mechanics that one in twenty healthy joints has
 _MUCH_LARGER, _MUCH_LATER = 0.25, 0.5  # of a declared number, and periods: the cause of such a fault is searched for
-_HALF = 0.5  # of the size by one step that must remain when the problem is solved again
+_HALF = 0.5  # of the size by one step that must remain when solved again, or is tried; of the strongest fault
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected, or under another law: far below a deviation
@@ -115,7 +115,10 @@ def search_faults(
             break
         else:  # what leaves more when it is corrected is none, however strong it looks from afar
             less = (one for one in corrected if np.linalg.norm(one[1].residual) < np.linalg.norm(found.residual))
-            finding, found = next(less, None) or _find(found, possible[0])
+            if (end := next(less, None)) is None:
+                last = None if findings else likely[0]
+                break
+            finding, found = end
         findings.append(finding)
     part = find_part_of_loop(found.problem, found.x, found.record)
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
@@ -158,10 +161,12 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
     held = replace(found, corrected=(*found.corrected, signature), named=named)
     if signature.raw is not None and fault is not suspects.LIMIT:
         change, beside = _search_law(found, signature) or (test.size * signature.raw, {})
-        problem = problem.with_log(measured=problem.log.measured - change[:, np.newaxis])
-        after = replace(held, problem=problem, x=solve(problem, least_squares(_TOLERANCE, _FEW), found.x).x)
-        less = np.linalg.norm(after.residual) < np.linalg.norm(found.residual)
-        return (after if less else held), {**problem.values(after.x), **beside}
+        for share in (1.0, _HALF):  # where the loop is far from linear, half of a fault leaves less
+            other = problem.with_log(measured=problem.log.measured - share * change[:, np.newaxis])
+            after = replace(held, problem=other, x=solve(other, least_squares(_TOLERANCE, _FEW), found.x).x)
+            if np.linalg.norm(after.residual) < np.linalg.norm(found.residual):
+                return after, {**other.values(after.x), **beside}
+        return held, {**other.values(after.x), **beside}
     start = test.declared + test.size
     if fault is suspects.LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
@@ -203,6 +208,7 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 # Other laws
 
 _BETWEEN = 0.2  # of what a law changes: so much less is still a rate, or a delay, next to the one that is tried
+_FASTEST = 2.0  # times the change by twice the rate: that of a law without a period
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
 _LONGEST_LAG = 4e-3  # s: of a current loop or a setpoint filter; a longer one is another mistake
 _CURRENT_LOOP = 1e-3  # s: the same, if the reference is not late as well; a longer one may be a notch
@@ -271,10 +277,11 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
 
 
 def test_laws(found: SolvedLoop) -> list[LawTest]:
-    """Test alternative laws that are neither named yet nor excluded."""
+    """Test alternative laws that are neither named yet nor excluded, and may be as likely as a fault."""
     tests, problem, x, record = list[LawTest](), found.problem, found.x, found.record
     if record is None:
         return tests
+    least = _HALF * max((one.strength for one in found.tests if one.possible and one.p_value <= LEVEL), default=0.0)
     law = problem.loop.controller
     fixed = not numbers_of(law).keys() & {p.name for p in problem.free}  # a free number may stand for any law
     for first, *others in changes.list_variants(law, record, problem.sample_time, problem.axis.law.period):
@@ -287,7 +294,8 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
             steps = [found.test_law(first.fault, found.residual - one.residual(x)) for one in screens]
             step = min(steps, key=lambda one: one.p_value)
             longest = _LONGEST_LAG if steps[0].p_value <= LEVEL else _CURRENT_LOOP
-            possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST
+            possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST and step.strength >= least
+            possible &= first.fault is not changes.PERIOD or step.size - 3 * step.std <= _FASTEST
             if not (step.p_value <= LEVEL if late or first.fault is changes.MEASURED_VELOCITY else possible):
                 continue
             for other, near in _list_late(problem, x, longest) if late else ((one, None) for one in (first, *others)):

@@ -394,18 +394,19 @@ def _cog(seen: Seen) -> Columns:
     position, way = seen.position[problem.log.kept], np.sign(seen.velocity[problem.log.kept])
     whiten = fit_whitener(seen.residual - basis @ (basis.T @ seen.residual))
     basis, left = orthonormal_basis(whiten(seen.own), _RANK), whiten(seen.residual)
+    left = left - basis @ (basis.T @ left)
 
     def explain(columns: FloatArray) -> tuple[float, FloatArray]:
         """Decrease of the squared residual by columns, and their weights."""
         white = whiten(columns)
-        apart = white - basis @ (basis.T @ white)
-        weights = np.linalg.lstsq(apart, left, rcond=_RANK)[0]
-        return float(left @ apart @ weights), np.asarray(weights)
+        along, goal = basis.T @ white, white.T @ left
+        weights = np.linalg.lstsq(white.T @ white - along.T @ along, goal, rcond=_RANK)[0]
+        return float(goal @ weights), np.asarray(weights)
 
     def regress(wave: float) -> float:
         # A loop responds late to a force, in the direction of motion: so each direction has coefficients of its own.
-        turn = 2 * np.pi * wave / travel * position
-        return explain(np.column_stack([np.cos(turn), np.sin(turn), way * np.cos(turn), way * np.sin(turn)]))[0]
+        turn = np.exp(2j * np.pi * wave / travel * position)
+        return explain(np.column_stack([turn.real, turn.imag, way * turn.real, way * turn.imag]))[0]
 
     def simulate(wave: float) -> tuple[float, float, FloatArray]:
         turn = 2 * np.pi * wave / travel * seen.position
@@ -413,9 +414,12 @@ def _cog(seen: Seen) -> Columns:
         gain, weights = explain(problem.filter(raw))
         return gain, wave, raw @ weights / (float(np.linalg.norm(weights)) or 1.0)
 
-    gains = np.array(in_threads(regress, _WAVES_TRIED.tolist()))
-    likeliest = _WAVES_TRIED[np.argsort(-gains)[:_LIKELIEST]]
-    _, wave, raw = max(in_threads(simulate, likeliest.tolist()), key=lambda one: one[0])
+    gains, tried = np.zeros(_WAVES_TRIED.size), np.arange(0, _WAVES_TRIED.size, 2)
+    for _ in range(2):  # a wave is seen half a period beside its own
+        gains[tried] = in_threads(regress, _WAVES_TRIED[tried].tolist())
+        likeliest = np.argsort(-gains)[:_LIKELIEST]
+        tried = np.unique(np.clip([likeliest - 1, likeliest + 1], 0, gains.size - 1))
+    _, wave, raw = max(in_threads(simulate, _WAVES_TRIED[likeliest].tolist()), key=lambda one: one[0])
     yield travel / wave, raw
 
 
