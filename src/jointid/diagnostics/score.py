@@ -346,5 +346,5 @@ class SolvedLoop:
         found = {}
         for p, x in zip(self.problem.free_joint, self.x.tolist(), strict=False):
             by, std = max((values[p.name] - x for values in each), key=abs), self.std.get(p.name, 0.0)
-            found[p.name] = ParameterShift(by, by / std if std > 0 else 0.0, p.symbol, self.problem.units[p.name])
+            found[p.name] = ParameterShift(by, by / std if std > 0 else 0.0, p.name, self.problem.units[p.name])
         return found

@@ -14,7 +14,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
-from jointid.common.text import number
+from jointid.common.text import in_words, number
 from jointid.common.transmission import Side
 from jointid.diagnostics.seen import Columns, Seen
 from jointid.estimation.problems.simulated import ClosedLoopProblem
@@ -175,7 +175,7 @@ class ParameterShift:
     unit: str = ""
 
     def __str__(self) -> str:
-        return f"{self.symbol} by {number(self.by, 3, '+')} {self.unit} ({abs(self.sigmas):.1f} sigma)"
+        return f"{in_words(self.symbol)} by {number(self.by, 3, '+')} {self.unit} ({abs(self.sigmas):.1f} sigma)"
 
 
 @dataclass(frozen=True, slots=True)
