@@ -196,7 +196,6 @@ def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.torque) // 2)
     monkeypatch.setattr("jointid.estimation.identify.WINDOW", len(record.torque) // 6)
     found = ji.identify(record, LOOP)
-    assert found.data.windows is not None
     (loop,) = (one for one in found.checks if one.name is Subject.LOOP)
     assert loop.passed is True, loop
 
@@ -224,8 +223,7 @@ def test_a_window_that_fails_near_its_end_turns_the_search_away(monkeypatch: pyt
 
 
 def test_a_last_window_that_is_shorter_than_its_filters_is_passed_over() -> None:
-    found = identify(cut(rigid(30.0), 0, 20_030), LOOP, windows=4.0)
-    assert found.data.windows is not None and found.data.windows.count == 5
+    assert identify(cut(rigid(30.0), 0, 20_030), LOOP, windows=4.0).data.windows.count == 5
 
 
 TEN_MINUTES = """

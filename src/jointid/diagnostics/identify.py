@@ -83,8 +83,8 @@ def identify(
     Args:
         record: a record; or several of one joint, each with the torque and what its controller reads, in one fit; or
             the log of a joint file, `load(path).log()`, that is read in chunks, identified in windows in bounded
-            memory. Of a robot the records of its joints, on one clock; or those of several logs, in one fit, which is
-            not checked.
+            memory. Of a robot the records, or logs, of its joints, on one clock; or the records of several logs, in one
+            fit, which is not checked.
         model: the loop (joint and controller), or the joint alone when the controller is not known. For several records
             a loop, or one for each record: of one joint under different gains. A `robots.Robot` alone, a
             `robots.RobotLoop` with its controllers, or a `robots.RobotDriveSide` along the motors' motion.

@@ -81,6 +81,9 @@ def _refuse_windows(log: Sequence[object], model: Any, method: Method | None, se
             "windows out."
         )
     joints = [one.model for one in model.robot.joints] if hasattr(model, "robot") else [model.joint]
+    computed = "motor_position" in getattr(method, "outputs", ()) or any(getattr(one, "computed", False) for one in log)
+    if hasattr(model, "robot") and (computed or any(getattr(one, "torque", log) is None for one in log)):
+        return "Windows of a robot reproduce logged torques, not motor positions: log them, or leave windows out."
     if drifting := next((joint.friction.name for joint in joints if "drifting" in joint.friction.name), ""):
         return (
             f'Windows take no {drifting} friction, which follows the time: declare "symmetric", or cut by start and '
@@ -183,7 +186,7 @@ def _fit_robot(
     """
     robot: Robot = model.robot
     require_friction(robot, known)
-    logs = () if _one_log(record, model) and not isinstance(record[0], Record) else each_log(record)
+    logs = () if record and not any(isinstance(one, Record | Sequence) for one in record) else each_log(record)
     _check_robot_records(logs, robot)
     method.require_settings_of("robot")
     if type(model) not in method.robots:

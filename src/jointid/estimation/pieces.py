@@ -1,4 +1,4 @@
-"""One joint from several records, or from windows of a long log.
+"""One joint from several records, or a joint or robot from windows of a long log.
 
 **Several records.** Each is identified by itself, which gives the start, and its own estimate. Least squares over the
 rows of all follows, those of a record divided by the level of its residual, so that it is weighted by its accuracy.
@@ -13,9 +13,10 @@ with the number of the record, from 1. The motor's first state is always a recor
 controller that the records declare differently.
 
 **Windows of a long log.** An identification of one window gives the start. A pass reads every window once and keeps its
-`Sums`. A window begins in the middle of a motion, at the motor position that the inverted law gives for the logged
-torque, with the speed of the reference. The loop forgets an initial error within the settling time, which is excluded
-at either end, since the filter has zero phase. Neighbouring windows overlap by twice that time.
+`Sums`. A window begins in the middle of a motion, with the speeds of the references; a joint at the motor position that
+the inverted law gives for the logged torque, a robot on its references. The loop forgets an initial error within the
+settling time, which is excluded at either end, since the filter has zero phase. Neighbouring windows overlap by twice
+that time.
 
 Errors that repeat at a place are not averaged away by a longer record: sums are kept of each place, too. The deviations
 are the larger ones, in every direction, of leaving out windows and of leaving out places.
@@ -640,7 +641,7 @@ class WindowsOfLog:
 
 def chunks_of(logs: Sequence[LongRecord], length: int, overlap: int) -> Iterator[tuple[Chunk, list[Record]]]:
     """Chunks of joints' logs: the first joint's, and all records."""
-    for each in zip(*(log.chunks(length, overlap) for log in logs), strict=True):
+    for each in zip(*(log.chunks(length, overlap) for log in logs), strict=False):  # until the shortest log ends
         yield each[0], [chunk.record for chunk in each]
 
 
@@ -710,26 +711,15 @@ def identify_windows(
         values = like.parameters.values(x)
         part = replace(part, setup=at_estimate(loop, like.parameters, values), values=values)
     rows, units = _rows_at(began, like, x, covariance, solution), {row.name: row.unit for row in began.rows}
+    too_short = [f"{forgets}; give longer windows"] if needed > settled else []
     made = build_estimate(
-        first,
-        rows,
-        covariance.correlation,
-        2 * (np.zeros((0, len(logs))),),
-        found.errors,
-        sums.rows,
+        first, rows, covariance.correlation, 2 * (np.zeros((0, len(logs))),), found.errors, sums.rows,
         (solution.message, solution.status.converged),
-        began.fit.simulations + len(problem.passes) * len(found.windows),
-        settings,
-        began.data.channels,
-        robot=part,
+        began.fit.simulations + len(problem.passes) * len(found.windows), settings, began.data.channels,
+        robot=part, window=began, agreement=drift(found.windows, x, problem.free, units),
         known=began.known and identifiability(problem.free, units, x, solution.jacobian, covariance),
-        agreement=drift(found.windows, x, problem.free, units),
-        window=began,
-        warnings=(
-            *([f"{forgets}; give longer windows"] if needed > settled else []),
-            *warn_of_limit(float(np.mean([w.at_limit for w in found.windows]))),
-        ),
-    )
+        warnings=(*too_short, *warn_of_limit(float(np.mean([w.at_limit for w in found.windows])))),
+    )  # fmt: skip
     span = Windows(
         length=length * sample_time,
         settling=settled * sample_time,
@@ -737,12 +727,9 @@ def identify_windows(
         still=found.still,
         duration=found.windows[-1].end - found.windows[0].begin,
     )
-    return replace(
-        made,
-        fit=replace(made.fit, passes=len(problem.passes)),
-        data=replace(made.data, record=join([log.name for log in logs]), fingerprints=(), resampled=None, windows=span),
-        records=(),
-    )
+    name = join([*dict.fromkeys(log.name for log in logs)])
+    data = replace(made.data, record=name, fingerprints=(), resampled=None, windows=span)
+    return replace(made, fit=replace(made.fit, passes=len(problem.passes)), data=data, records=())
 
 
 def _of_robot(began: Estimate, part: IdentifiedRobot) -> tuple[Simulated, FloatArray]:

@@ -65,3 +65,5 @@ def test_a_long_log_in_windows_says_what_the_whole_says(hertz: Any, monkeypatch:
         assert abs(parts[name].value - row.value) < 0.7 * row.stderr, name
         assert 0.5 < parts[name].stderr / row.stderr < 2.5, name
     assert parts.robot.setup == loop and parts.answer.reliable
+    with pytest.raises(ji.MethodError):
+        ji.identify([record.without("torque") for record in log], loop, windows=4.0)
