@@ -10,7 +10,7 @@ from scipy.io import loadmat
 from scipy.optimize import minimize_scalar
 
 from jointid.common.parameters import Parameter, Quantity
-from jointid.estimation.problems.inverse_model import inverse_of_joint, motion_along
+from jointid.estimation.problems.inverse_model import decimate_each, inverse_of_joint, motion_along
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
@@ -60,7 +60,7 @@ class Bench:
             motion = motion_along([self.torque(current)], np.column_stack([self.motor, self.load]), resolved, [delay])
             names = (*(p.name for p in JOINT.parameters), _ZERO.name)
             W = motion.decimate_columns(inverse_of_joint(JOINT).columns(motion))
-            Y = motion.decimate(motion.torque[:, :, np.newaxis])[:, 0]
+            Y = decimate_each(motion, list(motion.torque.T[:, :, np.newaxis]))[:, 0]
             values = least_squares(W, Y, names)
             return float(np.linalg.norm(Y - W @ values)), values
 

@@ -42,7 +42,7 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
     first = check.findings[0]
     assert first.test.name == fault
     assert not check.as_declared and not check.suspected  # what is tested before the last correction is no suspect
-    assert (first.left is None) is (fault in ("offset", "limit"))  # which are no numbers that are fitted
+    assert (first.left is None) is (fault == "limit")  # which is no number that is fitted
     if fault in SIZES:
         assert first.test.size == pytest.approx(SIZES[fault], abs=3 * first.test.std)
     if fault == "limit":

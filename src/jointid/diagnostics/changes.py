@@ -325,7 +325,7 @@ CHANGES = (
     Change("torque_sign", lambda case: [case.logging(torque=-case.torque.values)], lambda *_: _SIGNS),
     _row(
         "swapped_channels", lambda case: [case.logging(torque=case.reference.values, reference=case.torque.values)]
-        * (len(case.torque) == len(case.reference)), "torque and reference are swapped",
+        if len(case.torque) == len(case.reference) else [], "torque and reference are swapped",
     ),
     Change("sample_time", _try_sample_times, lambda value, _: [
         Cause("sample_time", f"the sample time is {_say_times(value)} too {'short' if value > 1 else 'long'}", value)

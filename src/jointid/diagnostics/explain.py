@@ -213,7 +213,7 @@ def find_causes(
 ) -> Causes:
     """Search for the cause of a misfit between record and declared drive.
 
-    Of an `estimate` filter, joint, error and the free numbers outside the joint are used; else `free` names these.
+    An estimate gives filter, start, error and free numbers outside the joint; without it `free` names these.
     """
     left = math.inf if estimate is None else estimate.fit.filtered_error
     if (plain := model_free.find_plain_cause(record)) is not None:

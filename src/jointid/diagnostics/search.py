@@ -160,13 +160,13 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
     named = (*found.named, test.name, *(one.name for one in test.alike), *filter(None, (fault.kin,)))
     held = replace(found, corrected=(*found.corrected, signature), named=named)
     if signature.raw is not None and fault is not suspects.LIMIT:
-        change, beside = _search_law(found, signature) or (test.size * signature.raw, {})
+        (change, beside), ends = _search_law(found, signature) or (test.size * signature.raw, {}), list[SolvedLoop]()
         for share in (1.0, _HALF):  # where the loop is far from linear, half of a fault leaves less
             other = problem.with_log(measured=problem.log.measured - share * change[:, np.newaxis])
-            after = replace(held, problem=other, x=solve(other, least_squares(_TOLERANCE, _FEW), found.x).x)
-            if np.linalg.norm(after.residual) < np.linalg.norm(found.residual):
-                return after, {**other.values(after.x), **beside}
-        return held, {**other.values(after.x), **beside}
+            ends.append(replace(held, problem=other, x=solve(other, least_squares(_TOLERANCE, _FEW), found.x).x))
+            if np.linalg.norm(ends[-1].residual) < np.linalg.norm(found.residual):
+                return ends[-1], {**other.values(ends[-1].x), **beside}
+        return held, {**ends[0].problem.values(ends[0].x), **beside}
     start = test.declared + test.size
     if fault is suspects.LIMIT:  # the declared one may be infinite
         start = (test.shape or 0.0) / _torque_per_unit(problem)
