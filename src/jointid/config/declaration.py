@@ -25,11 +25,10 @@ from jointid.models.controllers import CONTROLLER_UNITS
 Place: TypeAlias = tuple[int | str, ...]
 """Path of a value: keys and indices."""
 
-_MOST = 10**9  # largest integer
-_MOST_KEYS = 1000  # largest number of keys of a table or tables of a list, each of which may give a fault
+_MOST, _MOST_KEYS = 10**9, 1000  # largest integer; keys of a table, or tables of a list: each may give a fault
 _WRONG: Any = object()  # placeholder of a faulty value
-_SHORT = ("integral_time", "time_constant", "period", "delay", "position_gain")
-_LONG = {"s": (2.0, "ms"), "1/s": (500.0, "1/min")}  # of these: a larger one may be in this unit
+BARE = {(name, "s"): (2.0, "ms") for name in ("integral_time", "time_constant", "period", "delay")}
+BARE["position_gain", "1/s"] = 500.0, "1/min"  # of a setting: the largest number without a unit; what it may be in
 _MEANT = {"P-PI": "cascade", "P-P": "cascade", "rotary": "revolute", "rotation": "revolute", "linear": "prismatic"}
 
 OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
@@ -173,6 +172,8 @@ class Reader:
 
     def _single(self, one: Setting, raw: Any, place: Place) -> Any:
         """Convert and check a value that is no table."""
+        most, unit = BARE.get((one.name, one.unit), (math.inf, ""))
+        asked = f'"{raw} {one.unit}" or "{raw} {unit}"' if unit else ""
         try:
             stated = units.QUANTITY.fullmatch(raw) if one.type is float and isinstance(raw, str) else None
             if stated is not None and stated["unit"].strip() and list_units(one.unit):  # known or not
@@ -180,9 +181,8 @@ class Reader:
                 found = to_si(raw, one.unit)
             else:
                 found = _convert(str if one.choices else one.type, raw)
-            most, unit = _LONG.get(one.unit, (math.inf, "")) if one.name in _SHORT else (math.inf, "")
-            if unit and place not in self.texts and found > most:
-                return self._refuse(place, f' is {raw:g} {one.unit}; add its unit, as "{raw:g} {unit}".', "unit")
+            if asked and place not in self.texts and found > most:
+                return self._refuse(place, f" is {raw} without a unit; add it, as {asked}.", "unit")
             if one.accept is not None:
                 one.accept(found)
             elif fault := one.fault(found):
@@ -190,7 +190,7 @@ class Reader:
         except UnitError as error:
             found = self._refuse(place, str(error), "unit")
         except (ValueError, OverflowError):
-            timed = f' Or with its unit, as "{raw} ms".' if stated and one.name in _SHORT and one.unit == "s" else ""
+            timed = f" Or with its unit, as {asked}." if stated and asked else ""
             found = self._refuse(place, messages.describe_unexpected_value(raw, one.expected) + timed)
         except JointidError as error:
             found = self._refuse(place, f": {error}")

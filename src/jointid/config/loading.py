@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import MISSING, fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,12 @@ from jointid.common import units
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT, Parameter
+from jointid.common.settings import settings_of
 from jointid.common.text import show
 from jointid.common.transmission import SIDES, Side
 from jointid.config import toml
 from jointid.config.axis import Axis, build_axis
+from jointid.config.declaration import BARE
 from jointid.config.file import File
 from jointid.config.tables import read_tables
 from jointid.config.toml import Tables, edit, move_paths, parse_change, parse_toml, relocate_path, replace_table
@@ -182,11 +184,10 @@ def _plain(value: Any) -> Any:
     """Convert a value to TOML types; omit defaults of filters and controllers."""
     if type(value) in _WORDS:
         found: dict[str, Any] = {**_WORDS[type(value)]}
-        for field in fields(value):
-            default = field.default if field.default_factory is MISSING else field.default_factory()
-            plain = _plain(getattr(value, field.name))
-            if plain is not None and (default is MISSING or plain != _plain(default)):
-                found[field.name] = plain
+        for one in settings_of(type(value)):  # type: ignore[arg-type]
+            plain, key = _plain(getattr(value, one.name)), (one.name, one.unit)
+            if plain is not None and (one.required or plain != _plain(one.default)):
+                found[one.name] = f"{plain!r} {one.unit}" if key in BARE and plain > BARE[key][0] else plain
         return found
     if isinstance(value, tuple):
         return [_plain(item) for item in value]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import os
 import re
@@ -147,14 +148,12 @@ def edit(text: str, *changes: Change) -> str:
         change(expected)
     if text.strip() and expected.keys() - before:
         text = f"{text.rstrip()}\n\n"
-    try:
+    with contextlib.suppress(TOMLKitError, tomllib.TOMLDecodeError):  # a table without a heading would be defined twice
         document = tomlkit.parse(text)
         for change in changes:
             change(document)
         if tomllib.loads(document.as_string()) == expected:
             return document.as_string()
-    except (TOMLKitError, tomllib.TOMLDecodeError):  # a table without a heading would be defined twice
-        pass
     return tomlkit.dumps(expected)
 
 
