@@ -83,17 +83,14 @@ def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Es
     return made, identify(made.record, made.axis.loop)
 
 
-@pytest.mark.parametrize(
-    ("fault", "seed", "named"),
-    [
-        pytest.param("cubic spring", 3005, "cubic_spring", marks=pytest.mark.slow),
-        pytest.param("load-dependent friction", 3003, "load_dependent_friction", marks=pytest.mark.slow),
-        ("second mode", 135, "second_mode"),
-        pytest.param("presliding", 109, "winding_friction", marks=pytest.mark.slow),
-        pytest.param("changing friction", 3003, "changing_friction", marks=pytest.mark.slow),
-        pytest.param("backlash", 3010, "backlash", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("fault", "seed", "named"), [
+    pytest.param("cubic spring", 3005, "cubic_spring", marks=pytest.mark.slow),
+    pytest.param("load-dependent friction", 3003, "load_dependent_friction", marks=pytest.mark.slow),
+    ("second mode", 135, "second_mode"),
+    pytest.param("presliding", 109, "winding_friction", marks=pytest.mark.slow),
+    pytest.param("changing friction", 3003, "changing_friction", marks=pytest.mark.slow),
+    pytest.param("backlash", 3010, "backlash", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_what_is_wrong_is_named_first(fault: str, seed: int, named: str) -> None:
     made, estimate = identified(fault, seed, 8.0 if seed < 1000 else 12.0)
     check = faults_of(estimate, made.record)
@@ -111,9 +108,7 @@ def test_what_adds_a_force_along_the_motion_is_named_with_its_size(fault: str, s
     check = faults_of(identify(made.record, made.axis.loop), made.record)
     test, truth = check.findings[0].test, made.truth
     friction = truth["motor_coulomb"] + truth["load_coulomb"]
-    size = {"saturation": made.size, "gravity": truth.get("weight"), "uneven friction": abs(made.size) * friction}[
-        fault
-    ]
+    size = {"saturation": made.size, "uneven friction": abs(made.size) * friction}.get(fault, truth.get("weight"))
     assert test.name == named
     assert abs(test.size) == pytest.approx(size, rel=0.25)
 
@@ -227,11 +222,10 @@ def test_what_is_not_excluded_widens_the_intervals() -> None:
     number = replace(found, test=replace(test, fault=law.fault))
     rows: Any = dict.fromkeys(found.changes, SimpleNamespace(value=1.0, stderr=1e9))
 
-    def widened(named: Finding | None, suspected: Finding | None = None, repeats: bool = False) -> dict[str, float]:
-        faults = AxisFaults(*((one,) if one else () for one in (named, None)), {}, (suspected,) if suspected else ())
-        axis: Any = SimpleNamespace(faults=faults, repeats=repeats)
+    def widened(*named: Finding, suspected: tuple[Finding, ...] = (), repeats: bool = False) -> dict[str, float]:
+        axis: Any = SimpleNamespace(faults=AxisFaults(named, (), {}, suspected), repeats=repeats)
         return dict(next(widen_for_faults(axis, rows), ({}, ""))[0])
 
     wide = {"stiffness": -20.0, "damping": 0.1}
-    assert widened(None, found) == widened(replace(number, law=law)) == widened(number, repeats=True) == wide
-    assert widened(number) == widened(None) == {}
+    assert widened(suspected=(found,)) == widened(replace(number, law=law)) == widened(number, repeats=True) == wide
+    assert widened(number) == widened() == {}

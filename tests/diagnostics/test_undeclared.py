@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ import pytest
 import jointid as ji
 from jointid.controller import FirstOrder
 from jointid.diagnostics.axis_torques import torques_of_loop
-from jointid.diagnostics.identify import list_undeclared, widen_for_undeclared
+from jointid.diagnostics.identify import expect_size, list_undeclared, widen_for_undeclared
+from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.identify import fit
 from jointid.records.record import Tap
 from jointid.simulation.derivatives import respond_to_laws
@@ -27,7 +29,7 @@ TRUE = {
 }  # fmt: skip
 DECLARED = {"velocity_filter": (0.5, 0.5), "torque_filters": (FirstOrder(2e-4),), "delay": 1.25e-4}
 LOSSY = ji.ClosedLoop(replace(JOINT, friction=ji.friction.Friction("load-dependent")), replace(LAW, **DECLARED))
-UNSPOILT = SimpleNamespace(faults=SimpleNamespace(findings=()))
+LOSS = SimpleNamespace(test=SimpleNamespace(fault=FAULTS["load_dependent_friction"], alike=()))
 
 
 def logged(hidden=0.0, seed=0, noise=0.03, given=None, truth=TRUE):
@@ -42,12 +44,12 @@ def logged(hidden=0.0, seed=0, noise=0.03, given=None, truth=TRUE):
     return replace(record, torque=torque, motor_position=None, load_position=None)
 
 
-def widened(record, law=LAW):
+def widened(record, law=LAW, *suspected):
     """Return error, deviation, and the widened one of each parameter of the axis, and the widening."""
     found = fit(record, ji.ClosedLoop(JOINT, law), ji.DIDIM(frequency=50.0))
-    torques = torques_of_loop(found.problem, found.x)
-    wider = [*widen_for_undeclared(found, SimpleNamespace(torques=torques, axes=[UNSPOILT]))]
-    rows = {row.name: row for row in found.rows if row.name in TRUE}
+    axis = SimpleNamespace(faults=SimpleNamespace(findings=(), suspected=suspected))
+    diagnosis = SimpleNamespace(torques=torques_of_loop(found.problem, found.x), axes=[axis])
+    wider, rows = [*widen_for_undeclared(found, diagnosis)], {row.name: row for row in found.rows if row.name in TRUE}
     moved = {name: max((abs(by[name]) for by, _ in wider), default=0.0) for name in rows}
     return {
         name: (abs(row.value - TRUE[name]), row.stderr, np.hypot(row.stderr, moved[name])) for name, row in rows.items()
@@ -65,12 +67,22 @@ def test_an_interval_holds_a_spring_that_is_hardly_seen_not_to_be_linear():
     (lambda: logged(0.5e-3), LAW, "velocity filter of up to"),
     (lambda: logged(0.0, 0, 0.005, LOSSY, TRUE | {"load_friction_per_torque": 0.1}), LOSSY.controller, "load's torque"),
 ])  # fmt: skip
-def test_intervals_hold_what_a_hidden_filter_and_a_loss_of_the_gear_move(log, law, what):
+def test_intervals_hold_what_a_hidden_filter_and_a_loss_of_the_gear_move(log, law, what, monkeypatch):
     found, wider = widened(record := log(), law)
     assert max(error / std for error, std, _ in found.values()) > 3
     assert all(error < 2 * wide for error, _, wide in found.values())
     assert any(what in one and "coulomb by" in one for _, one in wider)
     assert widened(record, replace(law, undeclared="none"))[1] == []
+    assert widened(record, law, LOSS)[1] == (without := [one for one in wider if "load's torque" not in one[1]])
+    monkeypatch.setattr("jointid.diagnostics.identify.Friction", Mock(side_effect=ji.JointidError("")))
+    assert widened(record, law)[1] == without
+
+
+@pytest.mark.parametrize(("size", "std", "expected"), [  # those between by integration over all sizes
+    (0.0, 1e4, 0.5), (0.3, 0.01, 0.3), (-0.3, 0.1, 0.035), (0.1, 0.05, 0.0649), (0.3, 0.1, 0.2977), (0.2, 0.0, 0.2),
+])  # fmt: skip
+def test_an_element_is_as_large_as_the_record_shows_it_and_as_likely_as_none_without_one(size, std, expected):
+    assert expect_size(size, std, 0.5) == pytest.approx(expected, rel=0.01)
 
 
 def test_what_the_record_excludes_widens_nothing():

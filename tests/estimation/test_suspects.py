@@ -25,16 +25,10 @@ SIZES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [
-        "position_gain",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("log_gain", "velocity_gain", "delay", "offset", "limit")
-        ),
-    ],
-)
+SLOWER = ("log_gain", "velocity_gain", "delay", "offset", "limit")
+
+
+@pytest.mark.parametrize("fault", ["position_gain", *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)])
 def test_one_fault_is_named_and_measured(fault: str) -> None:
     where = setting("L19", brief=fault != "limit")  # which a long record measures to a thousandth
     made = problem(where, FAULTS[fault], "disturbance", 1)

@@ -129,14 +129,13 @@ def intervals(estimate: Estimate, record: Record, quantities: Sequence[str] | No
     asked = list(quantities) if quantities is not None else ["stiffness"] if "stiffness" in names else names[:1]
     if "compliance" in asked and "stiffness" not in names:
         raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
-    wanted = [None if name == "compliance" else _parse_combination(problem, name) for name in asked]
 
-    def follow(one: Combination | None) -> ProfileInterval:
-        if one is None:
+    def follow(name: str) -> ProfileInterval:
+        if name == "compliance":
             return profile_compliance(problem, x, spread, problem.joint.unit)
-        return profile(problem, x, one, spread)
+        return profile(problem, x, _parse_combination(problem, name), spread)
 
-    return tuple(in_threads(follow, wanted))
+    return tuple(in_threads(follow, asked))
 
 
 def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:

@@ -229,8 +229,7 @@ def diagnose_joint(
     proved = problem.loop if law is not None and law.holds else None
     faults = search_faults(SolvedLoop(problem, x, std, record, proved), **asked)
     torques = torques_of_loop(problem, x)
-    repeats = next((one.passed for one in estimate.about(Subject.REPEATABLE)), None)
-    repeats = None if repeats is None else not repeats
+    repeats = next((not one.passed for one in estimate.about(Subject.REPEATABLE) if one.passed is not None), None)
     axis = AxisDiagnosis("", *torques.judge(0), law, faults, repeats, signal=estimate.signal)
     return Diagnosis(record.name, estimate.settings.method, (axis,), torques)
 

@@ -2,16 +2,18 @@
 
 What the record does not exclude widens the intervals: undeclared elements of the loop, and faults that were found or
 are suspected. An element is a filter of velocity or torque, a delay, or a loss of the gear. One of size s changes the
-torque by ``s c``. An estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The record
-bounds s: the score test of c beside J gives it with its deviation. The interval holds the shift by the largest s within
-two deviations, between 0 and the usual size.
+torque by ``s c``. An estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The score
+test of c beside J gives s with its deviation. Without a record the element is as likely as none, and s is normal with
+half of the usual size as its root mean square, none included. The interval holds the shift by that of s given the test.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -36,17 +38,7 @@ from jointid.estimation.methods import Method
 from jointid.estimation.problems.inverse_model import decimate_each
 from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
-from jointid.estimation.result.verdict import (
-    SLIGHT,
-    Check,
-    Checked,
-    Reason,
-    Subject,
-    Widening,
-    assemble,
-    check_of,
-    checks_of,
-)
+from jointid.estimation.result.verdict import SLIGHT, Check, Checked, Reason, Subject, Widening, assemble, checks_of
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
 from jointid.models.controllers import FirstOrder
 from jointid.models.friction import Friction
@@ -61,6 +53,7 @@ from jointid.simulation.simulate import Run
 from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
+_fail = partial(checks_of, Subject.LOOP, False)
 LATER = {"later": True}  # values of a check that was left out on request, and is made up for by `check_later`
 
 
@@ -159,7 +152,7 @@ def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_pro
 
 
 def _untested(why: str, values: Mapping[str, object] | None = None) -> tuple[Check, ...]:
-    return (check_of(Subject.LOOP, None, Reason.NOT_TESTED, why, values),)
+    return checks_of(Subject.LOOP, None, Message(Reason.NOT_TESTED, why, values or {}))
 
 
 def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
@@ -177,10 +170,6 @@ def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
         said = f"a check failed, which is a fault of jointid ({type(error).__name__}: {error})"
         return checks_of(Subject.LOOP, None, Message(Reason.CHECK_FAILED, said)), (), None
     return (), (), None
-
-
-def _fail(*said: Message) -> tuple[Check, ...]:
-    return checks_of(Subject.LOOP, False, *said)
 
 
 def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progress: Progress) -> Checked:
@@ -228,8 +217,7 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
 
 def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
     """Shifts of parameters by possible faults and undeclared elements."""
-    rows = {row.name: row for row in fit.rows}
-    wider = [] if fit.robot is not None else list(widen_for_faults(found.axes[0], rows))
+    wider = [] if fit.robot is not None else [*widen_for_faults(found.axes[0], {row.name: row for row in fit.rows})]
     with contextlib.suppress(*FAILS):
         wider += widen_for_undeclared(fit, found)
     return wider
@@ -275,20 +263,20 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Ch
 # What widens the intervals
 
 _USUAL = 1e-3  # s: time constant of a filter, at most; or two periods of the controller
-LOSS, _LOST = FAULTS["load_dependent_friction"], 0.15  # of the torque through a gear, at most
+_LOSS, _MOST_LOST = FAULTS["load_dependent_friction"], 0.15  # of the torque through a gear
 
 
 class Element(NamedTuple):
-    """An undeclared element: half its usual size, s or a share, and controller with it, if it is of that."""
+    """An undeclared element: half its usual size, and controller with it; a loss of the gear has none."""
 
     fault: Fault
     half: float
-    controller: Any
+    controller: Any = None
     axis: int = 0
 
 
-def list_undeclared(controller: Any, sample_time: float, axis: int = 0, joint: Any = None) -> Iterator[Element]:
-    """Yield usual elements that a controller, or a joint alone, does not declare; `sample_time` in s."""
+def list_undeclared(controller: Any, sample_time: float, axis: int = 0) -> Iterator[Element]:
+    """Yield usual elements that a controller does not declare; `sample_time` in s."""
     if getattr(controller, "undeclared", "none") == "none":
         return
     period = controller.period or sample_time
@@ -299,45 +287,51 @@ def list_undeclared(controller: Any, sample_time: float, axis: int = 0, joint: A
         yield Element(TORQUE_FILTER, half, replace(controller, torque_filters=(FirstOrder(half),)), axis)
     if not controller.delay:
         yield Element(DELAY, 0.5 * period, replace(controller, delay=0.5 * period), axis)
-    if joint is not None and joint.model == "flexible" and joint.friction == Friction():
-        yield Element(LOSS, 0.5 * _LOST, None)
 
 
 def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
     """Yield parameter shifts by undeclared elements that are not excluded or named."""
-    torques, part, names = found.torques, fit.robot, list[str]()
-    log: Any = None
-    run: Any = None
+    torques, part = found.torques, fit.robot
+    assert torques is not None  # of a diagnosis with axes
     scales: FloatArray | float = 1.0
     if fit.problem is not None and fit.x is not None:
         names, log, (run,) = [p.name for p in fit.problem.free], fit.problem.log, fit.problem.run(fit.x)
     elif part is not None and hasattr(part.setup, "controllers") and fit.solved is not None:
         names, log, (run,) = [*part.parameters.names], fit.solved.problem.log, fit.solved.runs
         scales = np.where(part.parameters.logarithmic, part.values[: len(part.parameters.places)], 1.0)
-    tried = list[Element]()
-    for k, (driven, axis) in enumerate(zip(() if run is None else run.experiment.axes, found.axes, strict=False)):
-        known = {*names, *(one.name for f in axis.faults.findings for one in (f.test.fault, *f.test.alike))}
-        elements = list_undeclared(driven.controller, fit.data.sample_time, k, getattr(fit.problem, "joint", None))
-        tried += [one for one in elements if one.fault.name not in known]
-    if torques is None or not tried:
+    else:
         return
+    tried, known = list[Element](), set[str]()
+    for k, (driven, axis) in enumerate(zip(run.experiment.axes, found.axes, strict=False)):
+        each = (*axis.faults.findings, *axis.faults.suspected)  # which widen by themselves
+        known = {*names, *(one.name for f in each for one in (f.test.fault, *f.test.alike))}
+        elements = list_undeclared(driven.controller, fit.data.sample_time, k)
+        tried += [one for one in elements if one.fault.name not in known]
     rows = {row.name: row for row in fit.rows if row.stderr}
     solve = Influence(torques.stack(torques.own), torques.stack(torques.error)).matrix
-    laws = [one for one in tried if one.controller is not None]
-    changes = _respond(log, run, laws) if laws else []
-    if fit.problem is not None and fit.x is not None and tried[-1].fault is LOSS:
-        lossy: Any = replace(fit.problem.joint, friction=Friction("load-dependent"))
-        other = fit.problem.with_joint(lossy)
-        slopes = dict(zip(other.free, other.linearise(other.vector(fit.problem.values(fit.x)))[1].T, strict=True))
-        changes += [-0.5 * _LOST * one[np.newaxis] for p, one in slopes.items() if p.name == "load_friction_per_torque"]
-    sizes = in_threads(lambda one: _largest_size(torques, *one), list(zip(tried, changes, strict=True)))
-    for element, change, largest in zip(tried, changes, sizes, strict=True):
-        by = 0.5 * scales * (solve @ torques.stack(change)) * largest / element.half
+    changes = [*zip(tried, _respond(log, run, tried) if tried else (), strict=True)]
+    if fit.problem is not None and fit.x is not None and _LOSS.name not in known:
+        with contextlib.suppress(*FAILS):  # the other elements are held without it, too
+            changes += _lose(fit.problem, fit.x)
+    sizes = in_threads(lambda one: _size_of(torques, *one), changes)
+    for (element, change), size in zip(changes, sizes, strict=True):
+        by = scales * (solve @ torques.stack(change)) * size / element.half
         moved = {name: float(one) for name, one in zip(names, by, strict=True) if name in rows}
         if any(abs(one) > MATTERS * (rows[name].stderr or 0.0) for name, one in moved.items()):
-            size = f"{number(100 * largest, 2)} %" if element.fault is LOSS else f"{number(1e3 * largest, 2)} ms"
-            what = f"an undeclared {element.fault.title} of up to {size}"
+            most = f"{number(200 * size, 2)} %" if element.fault is _LOSS else f"{number(2e3 * size, 2)} ms"
+            what = f"an undeclared {element.fault.title} of up to {most}"
             yield _widening(what, moved, rows, '. Declare it, or set undeclared = "none" in [controller]')
+
+
+def _lose(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[tuple[Element, FloatArray]]:
+    """Yield a loss in a flexible joint's gear that nothing declares, and the change by half of it, (1, rows)."""
+    joint: Any = problem.joint
+    denied = getattr(problem.loop.controller, "undeclared", "none") == "none"
+    if denied or joint.model != "flexible" or joint.friction != Friction():
+        return
+    other = problem.with_joint(replace(joint, friction=Friction("load-dependent")))
+    slopes = dict(zip((p.name for p in other.free), other.linearise(other.vector(problem.values(x)))[1].T, strict=True))
+    yield Element(_LOSS, 0.5 * _MOST_LOST), -0.5 * _MOST_LOST * slopes["load_friction_per_torque"][np.newaxis]
 
 
 def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> list[FloatArray]:
@@ -351,15 +345,23 @@ def _respond(log: LoopLog, run: Run, tried: Sequence[Element]) -> list[FloatArra
     return list(np.moveaxis(decimate_each(log, found).reshape(len(each), -1, len(others)), 2, 0))
 
 
-def _largest_size(torques: AxisTorques, element: Element, change: FloatArray) -> float:
-    """Largest size of an element, s, within two deviations of its estimate."""
+def _size_of(torques: AxisTorques, element: Element, change: FloatArray) -> float:
+    """Expected size of an element by its test alone."""
     axis, own = element.axis, torques.own[element.axis]
     signature = FaultSignature(replace(element.fault, one_sided=True), change[axis] / element.half)
     (test,) = score(
         torques.error[axis], own[:, np.any(own, axis=0)], [signature], {signature.fault: 0.0},
         cells(torques.position[axis], torques.velocity[axis]), widened=1.0,
     )  # fmt: skip
-    return min(max(test.size + INTERVAL * test.std, 0.0), 2.0 * element.half)
+    return expect_size(test.size, test.std, element.half)
+
+
+def expect_size(size: float, std: float, half: float) -> float:
+    """Root mean square of an element's size given its test; `half` without one."""
+    size, error, usual = max(size, 0.0), std**2 or np.finfo(float).tiny, 2.0 * half**2
+    kept = usual / (usual + error)
+    none = math.exp(-0.5 * kept * size**2 / error) * math.sqrt(1.0 + usual / error)  # how likely, beside an element
+    return math.sqrt(((kept * size) ** 2 + kept * error) / (1.0 + none))
 
 
 def widen_for_faults(axis: AxisDiagnosis, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
