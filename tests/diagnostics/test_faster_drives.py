@@ -166,8 +166,18 @@ def test_what_moves_a_value_by_less_than_a_thousandth_is_in_its_interval() -> No
 def test_what_leaves_no_less_is_not_named_and_no_rate_is_fitted_that_explains_far_less(monkeypatch) -> None:
     record, loop = drive(CASCADE, 1, noise=0.05)
     wrong = replace(loop, controller=replace(loop.controller, velocity_gain=1.1 * loop.controller.velocity_gain))
-    fit = lambda _, law, *__: pytest.fail("it was fitted") if law.fault is PERIOD else None  # noqa: E731
+    tried, correct = search._test_law, search._correct
+    nothing = lambda found, one: (found, found.problem.values(found.x) | {one.name: 0.0})  # noqa: E731
+
+    def fit(found: Any, law: Any, record: Record, start: Any = None) -> Any:
+        assert start is None or law.fault is not PERIOD
+        return tried(found, law, record, start)
+
     monkeypatch.setattr(search, "_test_law", fit)
-    monkeypatch.setattr(search, "_correct", lambda found, one: (found, found.problem.values(found.x) | {one.name: 0.0}))
+    monkeypatch.setattr(search, "_correct", nothing)
     faults = faults_of(identify(record, wrong), record)
     assert (faults.findings, faults.explained) == ((), 0.0)
+    wrong = replace(wrong, controller=replace(wrong.controller, position_gain=0.8 * CASCADE.position_gain))
+    monkeypatch.setattr(search, "_correct", lambda *one: (nothing if one[0].named else correct)(*one))
+    faults = faults_of(identify(record, wrong), record)
+    assert len(faults.findings) == 1 and 0.0 < faults.explained < 1.0  # something else is wrong, too

@@ -12,16 +12,14 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
 
 LAWS = (*SPRINGS, *FRICTIONS)
-UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 
 
 def told(fault: Fault) -> str:
     """Return the sentence on a fault of a joint that can have every law."""
     test = FaultTest(fault, (), 1.0, 0.1, 0.01, 1e-9, 0.5)
     other = OtherLaw(fault, "the drive runs another law", "that law", PD(position_gain=1.0, derivative_gain=1.0))
-    law = other if fault.name in OTHER_LAWS else None
-    finding = Finding(test, 1.1, (), {}, law)
-    return " ".join(map(str, AxisFaults((finding,), (test,), UNITS).reasons))
+    finding = Finding(test, 1.1, (), {}, other if fault.name in OTHER_LAWS else None)
+    return " ".join(map(str, AxisFaults((finding,), (test,), {"position": "rad", "torque": "N m"}).reasons))
 
 
 @pytest.mark.parametrize(

@@ -21,13 +21,10 @@ from tests.mistakes import Axis, axis, run
 T = 1e-3
 
 
-@pytest.mark.parametrize(
-    "declared",
-    [
-        Cascade(position_gain=20.0, velocity_gain=3.0, integral_gain=50.0),
-        PID(position_gain=20.0, derivative_gain=0.5, integral_gain=300.0),
-    ],
-)
+@pytest.mark.parametrize("declared", [
+    Cascade(position_gain=20.0, velocity_gain=3.0, integral_gain=50.0),
+    PID(position_gain=20.0, derivative_gain=0.5, integral_gain=300.0),
+])  # fmt: skip
 def test_the_other_law_is_backward_eulers(declared: Cascade | PID) -> None:
     """Written out: the sum has the present error before the output is made."""
     rng = np.random.default_rng(0)
@@ -64,21 +61,18 @@ def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> No
     declared = replace(made.controller, velocity_filter=(1.0,))
     earlier = replace(declared, velocity_filter=(1.5, -0.5))
     record, loop = run(made, earlier), ClosedLoop(made.joint, declared)
-    check = faults_of(identify(record, loop), record, most=1)
-    [first] = check.findings
+    [first] = faults_of(identify(record, loop), record, most=1).findings
     assert first.test.fault is MEASURED_VELOCITY
 
 
 def _quiet() -> Axis:
     """The rigid axis of the mistakes, with little friction that no model has."""
-    made = axis("rigid")
-    return replace(made, ripple=0.1, noise=0.5, log_noise=0.3)
+    return replace(axis("rigid"), ripple=0.1, noise=0.5, log_noise=0.3)
 
 
 def _checked(*, present: bool) -> tuple[Estimate, Record, AxisFaults]:
     made = _quiet()
-    true = with_present_sample(made.controller, made.rate) if present else made.controller
-    record = run(made, true)
+    record = run(made, with_present_sample(made.controller, made.rate) if present else made.controller)
     estimate = identify(record, ClosedLoop(made.joint, made.controller))
     return estimate, record, faults_of(estimate, record)
 
@@ -90,12 +84,10 @@ def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
     found = check.findings[0]
     assert found.test.fault is PRESENT_SAMPLE
     assert found.test.size == pytest.approx(1.0, abs=3 * found.test.std)
-    truth, inertia = _quiet().values["inertia"], estimate["inertia"]
-    corrected = inertia.value + found.changes["inertia"].by
-    assert corrected == pytest.approx(truth, rel=0.01)
     made = _quiet()
-    found = ji.identify(record, ClosedLoop(made.joint, made.controller))
-    assert next(one for one in found.checks if one.name == "loop").values["suspect"] == PRESENT_SAMPLE.name
+    assert estimate["inertia"].value + found.changes["inertia"].by == pytest.approx(made.values["inertia"], rel=0.01)
+    checks = ji.identify(record, ClosedLoop(made.joint, made.controller)).checks
+    assert next(one for one in checks if one.name == "loop").values["suspect"] == PRESENT_SAMPLE.name
 
 
 def test_a_law_that_is_as_declared_is_not_blamed() -> None:

@@ -213,7 +213,12 @@ def find_causes(
 ) -> Causes:
     """Search for the cause of a misfit between record and declared drive.
 
-    An estimate gives filter, start, error and free numbers outside the joint; without it `free` names these.
+    Args:
+        record: with torque and reference.
+        loop: as declared.
+        estimate: under it; gives filter, start, error, and free numbers outside the joint.
+        progress: called with each step.
+        free: names of those numbers without an estimate.
     """
     left = math.inf if estimate is None else estimate.fit.filtered_error
     if (plain := model_free.find_plain_cause(record)) is not None:
@@ -357,7 +362,7 @@ class Fit:
         return replace(self, problem=self.problem.under(replace(law, period=own), self.case.record))
 
     def descend(self, evaluations: int, worth: float = 0.0) -> Fit | None:
-        """Return the fit after a limited descent, of steps that are `worth` it; None if it fails."""
+        """Return the fit after a limited descent; None if it fails."""
         try:
             with np.errstate(all="ignore"):
                 solution = solve(self.problem, LevenbergMarquardt(1e-4, evaluations, worth=worth), self.x)

@@ -267,7 +267,7 @@ _LOSS, _MOST_LOST = FAULTS["load_dependent_friction"], 0.15  # of the torque thr
 
 
 class Element(NamedTuple):
-    """An undeclared element: half its usual size, and controller with it; a loss of the gear has none."""
+    """Undeclared element: half its usual size, and controller with it (not a loss)."""
 
     fault: Fault
     half: float

@@ -6,9 +6,9 @@ named beside the first. If the likeliest is impossible, something else is wrong.
 A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
 law reproduces the logged torque from a logged motor position, faults of law and log that it excludes are not named.
 
-Each other law of the drive is screened by one simulation at the same joint, then identified under, and judged by a J
-test (Davidson and MacKinnon, Econometrica 49, 1981): the residual, regressed on the change of the fit, has the
-coefficient 0 under the declared law and 1 under the other. Of the laws that the record allows the likeliest is chosen.
+Each other law of the drive is judged by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the residual,
+regressed on the change of the fit, has the coefficient 0 under the declared law and 1 under the other. The fit is one
+step from the same joint; where that explains something, the joint is identified under the law.
 
 Of a robot each fault adds a column to the torque of one axis, or of all. A wrong scale of one log shows by the other
 joints, which share the inertias of the links. So the rows of all joints are regressed together.
@@ -27,7 +27,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
-from jointid.common.parameters import POSITION_UNIT
+from jointid.common.parameters import POSITION_UNIT, Bounds
 from jointid.common.text import number
 from jointid.diagnostics import changes, suspects
 from jointid.diagnostics.axis_torques import AxisTorques, is_noise
@@ -40,7 +40,7 @@ from jointid.estimation.result.verdict import Reason
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.records.record import Record, Tap
 from jointid.simulation.simulate import require_success
-from jointid.solvers.solve import solve
+from jointid.solvers.solve import damped_step, solve
 from jointid.uncertainty.covariance import INTERVAL, ROUNDING
 from jointid.uncertainty.position_dependent_error import RESTING, cells
 
@@ -116,7 +116,7 @@ def search_faults(
         else:  # what leaves more when it is corrected is none, however strong it looks from afar
             less = (one for one in corrected if np.linalg.norm(one[1].residual) < np.linalg.norm(found.residual))
             if (end := next(less, None)) is None:
-                last = None if findings else likely[0]
+                last = likely[0]
                 break
             finding, found = end
         findings.append(finding)
@@ -128,8 +128,7 @@ def search_faults(
         last = findings[-1].test
     enough = _LITTLE * max((one.test.strength**2 for one in findings[:1]), default=0.0)
     vague = last is not None and last.strength**2 > enough
-    if last is not None and not vague:  # the first explains so much more that what comes last is its remainder
-        findings = [one for one in findings if one.test.strength**2 > enough]
+    findings = [one for one in findings if last is None or vague or one.test.strength**2 > enough]  # no remainder
     explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)
@@ -141,12 +140,12 @@ def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
     changes = found.shifts_to(values, *(_correct(found, one)[1] for one in (*rivals, *found.list_alike(test))))
     left = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
     if len(after.corrected) > len(found.corrected):
-        fitted = not test.fault.mechanical or values.keys() != after.problem.units.keys()
-        return Finding(test, None, rivals, changes, left=left if fitted else None), after
+        unfitted = test.fault.mechanical and values.keys() == after.problem.units.keys()
+        return Finding(test, None, rivals, changes, left=None if unfitted else left), after
     if test.fault is suspects.LIMIT:
         return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
-    test = replace(test, size=values[test.name] - test.declared)
-    return Finding(test, values[test.name], rivals, changes, left=left), after
+    value = values[test.name]
+    return Finding(replace(test, size=value - test.declared), value, rivals, changes, left=left), after
 
 
 def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[str, float]]:
@@ -173,17 +172,13 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
         problem = problem.under(with_numbers(problem.loop.controller, {test.name: start}))
     wider = problem.freeing(test.name)
     start = max(start, next(p.lower for p in wider.free if p.name == test.name))
-    try:
+    with contextlib.suppress(MethodError):  # where the number goes to where its part of the law vanishes
         x = solve(wider, least_squares(_TOLERANCE, _FEW), wider.vector(problem.values(found.x) | {test.name: start})).x
         wider.linearise(x)
-    except MethodError:  # the number goes to where its part of the law vanishes
-        return held, problem.values(found.x)
-    reached = wider.values(x)[test.name] - test.declared
-    astray = fault is not suspects.LIMIT and reached * test.size < _HALF * test.size**2
-    if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
-        # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
-        return held, problem.values(found.x)
-    return replace(held, problem=wider, x=x, corrected=found.corrected), wider.values(x)
+        reached = (wider.values(x)[test.name] - test.declared) * test.size >= _HALF * test.size**2
+        if (reached or fault is suspects.LIMIT) and np.linalg.norm(wider.residual(x)) <= np.linalg.norm(found.residual):
+            return replace(held, problem=wider, x=x, corrected=found.corrected), wider.values(x)
+    return held, problem.values(found.x)  # a bound or another fault prevents the fit: the test stands
 
 
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
@@ -209,6 +204,7 @@ def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArra
 
 _BETWEEN = 0.2  # of what a law changes: so much less is still a rate, or a delay, next to the one that is tried
 _FASTEST = 2.0  # times the change by twice the rate: that of a law without a period
+_MAYBE = 0.1  # p-value of a change, by one step: a law with a larger one is not fitted
 _AT_LEAST = 0.6  # of a change, by one step: less shows that the drive runs no such law
 _LONGEST_LAG = 4e-3  # s: of a current loop or a setpoint filter; a longer one is another mistake
 _CURRENT_LOOP = 1e-3  # s: the same, if the reference is not late as well; a longer one may be a notch
@@ -277,7 +273,7 @@ def choose_law(explaining: Sequence[LawTest]) -> LawTest | None:
 
 
 def test_laws(found: SolvedLoop) -> list[LawTest]:
-    """Test alternative laws that are neither named yet nor excluded, and may be as likely as a fault."""
+    """Test laws not named or excluded that may be as likely as faults."""
     tests, problem, x, record = list[LawTest](), found.problem, found.x, found.record
     if record is None:
         return tests
@@ -289,20 +285,20 @@ def test_laws(found: SolvedLoop) -> list[LawTest]:
         if {one.name for one in kin} & {*found.named} or not (fixed or first.fault.name in changes.WHOLE):
             continue
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # an unstable loop is not that of the record
-            late, start = first.fault is changes.AVERAGED, x
-            screens = (problem.under(one.controller, record) for one in (first, *(others if late else ())))
-            steps = [found.test_law(first.fault, found.residual - one.residual(x)) for one in screens]
-            step = min(steps, key=lambda one: one.p_value)
-            longest = _LONGEST_LAG if steps[0].p_value <= LEVEL else _CURRENT_LOOP
+            late = first.fault is changes.AVERAGED
+            steps = [_test_law(found, one, record) for one in (first, *(others if late else ()))]
+            step = min((one.test for one in steps), key=lambda one: one.p_value)
+            longest = _LONGEST_LAG if steps[0].test.p_value <= LEVEL else _CURRENT_LOOP
             possible = step.std > 0 and step.size + 3 * step.std >= _AT_LEAST and step.strength >= least
             possible &= first.fault is not changes.PERIOD or step.size - 3 * step.std <= _FASTEST
             if not (step.p_value <= LEVEL if late or first.fault is changes.MEASURED_VELOCITY else possible):
                 continue
             for other, near in _list_late(problem, x, longest) if late else ((one, None) for one in (first, *others)):
-                one = _test_law(found, other, record, start if near is None else near)
-                if one is None or (other.fault is changes.PERIOD and not one.possible):
+                one = steps[0] if other is first else _test_law(found, other, record, near)
+                if near is None and one.test.p_value <= _MAYBE:
+                    one = _test_law(found, other, record, one.x)
+                if not one.test.std > 0 or (other.fault is changes.PERIOD and not one.possible):
                     break
-                start = one.x
                 if found.proved is None or not excludes(record, found.proved, other.controller):
                     tests.append(one)
     return tests
@@ -347,17 +343,22 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray, longest: float) -> Seq
     return laws
 
 
-def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArray) -> LawTest | None:
-    """Test another law by identifying the joint under it, or None."""
-    other = found.problem.under(law.controller, record)
+def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArray | None = None) -> LawTest:
+    """Test another law by identifying the joint under it; by one step without a start."""
+    other, x = found.problem.under(law.controller, record), found.x
     if law.late:
         other = other.freeing(suspects.LOG_DELAY.name).keeping({suspects.LOG_DELAY.name: law.late})
-    x = descend(other, start, _TOLERANCE).x
-    left = other.residual(x)
+    if start is None:
+        left, J = other.residual(x), -found.own[:, : x.size]
+        step = damped_step(left, J, Bounds.of(found.problem.free).shift_to(x))
+        left, x = left + J @ step, x + step
+    else:
+        x = descend(other, start, _TOLERANCE).x
+        left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)
     if law.fault is suspects.REFERENCE_DELAY and record.injected is None:  # nothing else tells when the torque was
         test = replace(test, alike=(suspects.LOG_DELAY,))
-    return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left)) if test.std > 0 else None
+    return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left))
 
 
 def find_other_law(found: SolvedLoop, other: LawTest, alike: Sequence[LawTest] = ()) -> Finding:

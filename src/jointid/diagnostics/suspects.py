@@ -4,6 +4,7 @@ Each is a row, in the order of the tests. It is tested as a small deviation, by 
 of it. Corrections of large ones are in `changes`. To add one, write its columns, and its row.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -168,14 +169,14 @@ def name_number(name: str) -> str:
 class ParameterShift:
     """Change of a parameter by correcting a fault: in unit and deviations."""
 
-    in_json = "-symbol -unit"
+    in_json = "-name -unit"
     by: float
     sigmas: float
-    symbol: str = ""
+    name: str = ""
     unit: str = ""
 
     def __str__(self) -> str:
-        return f"{in_words(self.symbol)} by {number(self.by, 3, '+')} {self.unit} ({abs(self.sigmas):.1f} sigma)"
+        return f"{in_words(self.name)} by {number(self.by, 3, '+')} {self.unit} ({abs(self.sigmas):.1f} sigma)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -400,6 +401,7 @@ def _cog(seen: Seen) -> Columns:
         """Decrease of the squared residual by columns, and their weights."""
         white = whiten(columns)
         along, goal = basis.T @ white, white.T @ left
+        # The rank is that of singular values above 1e-5; even of a motion one way the least was 1e-4 of the largest.
         weights = np.linalg.lstsq(white.T @ white - along.T @ along, goal, rcond=_RANK)[0]
         return float(goal @ weights), np.asarray(weights)
 
@@ -451,22 +453,14 @@ def _winds_up(seen: Seen) -> Columns:
     if not seen.is_flexible or not seen.has_linear_friction:
         return
     still, moves = np.sign(seen.velocity), np.diff(seen.position, prepend=seen.position[0])
-    for distance in (share * float(np.ptp(seen.position)) for share in _DISTANCES):
-        if distance > 0:
-            yield distance, seen.force(still - _wind(moves / distance))
-
-
-def _wind(moves: FloatArray) -> FloatArray:
-    """Wound-up share of Dahl's friction after each normalised move, (samples,)."""
-    wound, found = 0.0, np.empty(moves.size)
-    for k, (way, left) in enumerate(zip(np.sign(moves).tolist(), np.exp(-np.abs(moves)).tolist(), strict=True)):
-        wound = way + (wound - way) * left if way else wound
-        found[k] = wound
-    return found
+    for distance in (share * float(np.ptp(seen.position)) for share in _DISTANCES if np.any(moves)):
+        keeps = zip(np.sign(moves).tolist(), np.exp(-np.abs(moves / distance)).tolist(), strict=True)
+        wound = itertools.accumulate(keeps, lambda wound, one: one[0] + (wound - one[0]) * one[1], initial=0.0)
+        yield distance, seen.force(still - np.array([*wound][1:]))
 
 
 def _under_load(seen: Seen) -> Columns:
-    """Yield a friction that grows with the torque through the gear: the motor's, and the load's of shape 1."""
+    """Yield friction that grows with the gear's torque: motor's, load's (shape 1)."""
     if seen.has_linear_friction:
         yield None, seen.force(-np.abs(seen.through) * np.sign(seen.velocity))
     if seen.is_plain:
