@@ -115,8 +115,8 @@ def search_faults(
             break
         else:  # what leaves more when it is corrected is none, however strong it looks from afar
             less = (one for one in corrected if np.linalg.norm(one[1].residual) < np.linalg.norm(found.residual))
-            if (end := next(less, None)) is None:
-                last = likely[0]
+            if (end := next(less, None)) is None:  # what is left of friction and spring may be their own remainder
+                last = None if any(one.test.fault.of_model for one in findings) else likely[0]
                 break
             finding, found = end
         findings.append(finding)
