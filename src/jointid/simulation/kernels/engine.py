@@ -390,7 +390,7 @@ def run(
     links, parts, clock = inertials.shape[0], lengths.size, command.shape[1]
     q, v, a, held, grip, drive = _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd)
     q1, v1, a1, held1, grip1, between = _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd)
-    pull, w, w1, guards, ends = _zeros(ns), _zeros(nw), _zeros(nw), _zeros(2 * nw), _zeros(2 * nw)
+    mean, pull, w, w1, guards, ends = _zeros(nd), _zeros(ns), _zeros(nw), _zeros(nw), _zeros(2 * nw), _zeros(2 * nw)
     modes, mobility, at, bounds = np.zeros(nw), np.zeros(nd), np.zeros(nw, dtype=np.int64), np.zeros((nw, 2))
     turned, link_room = np.zeros((places.shape[0], 3)), np.zeros((links, ROOM))
     mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.MASS))
@@ -464,7 +464,7 @@ def run(
                 torque = command[j, source] + post[j, source] if source >= 0 else before[j]
                 a[motor] += (torque - drive[motor]) * mobility[motor]  # all that changes, unless a mass settles
                 drive[motor] = torque
-            left, settles = lengths[part], coupled or k == 0 or path is not None
+            left, h, settles = lengths[part], 0.0, coupled or k == 0 or path is not None
             for i in range(nd):
                 settles = settles or modes[i] == 0.0 or v[i] == 0.0
             while left > 0.0 and status == kernels.FINISHED:
@@ -484,7 +484,7 @@ def run(
                     turns = settles and v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0
                     if turns and spring[s, kernels.WINDING] > 0.0:
                         modes[nd + s] = -modes[nd + s]
-                if rate == 0.0 and (settles or varies or fastest == 0.0):
+                if rate == 0.0 and (settles or (varies and left > h) or fastest == 0.0):
                     fastest = _fastest_rate(mass, spring, places, tree, pairs, mobility, modes, q, v, w, grip)
                 steps_left = left * fastest / reach * (1.0 - _ROOT)
                 if not left * fastest <= _MANY or (rate == 0.0 and steps * reach > work * (clock * parts + 100)):
@@ -514,18 +514,18 @@ def run(
                         for i in range(nd if path is None else 0):
                             if stage < 3:
                                 between[i] += a1[i]
-                                q1[i], v1[i] = q[i] + gone * v1[i], v[i] + gone * a1[i]
+                                mean[i], v1[i] = v1[i], v[i] + gone * a1[i]
                             else:
-                                q1[i] = q[i] + d * (v[i] + d / 6.0 * (a[i] + between[i]))
+                                mean[i] = v[i] + d / 6.0 * (a[i] + between[i])
                                 v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between[i] + a1[i])
+                            q1[i] = q[i] + gone * mean[i]
                         for i in range(nd):
                             if mass[i, kernels.WINDING] > 0.0:
-                                w1[i] = laws.wind(mass, i, modes[i], q1[i] - q[i], gone, w[i])
+                                w1[i] = laws.wind(mass, i, modes[i], mean[i], gone, w[i])
                         for s in range(ns):
                             one, two = _tied(tree, pairs, s)
                             if spring[s, kernels.WINDING] > 0.0:
-                                e = (q1[two] - q1[one]) - (q[two] - q[one])
-                                w1[nd + s] = laws.wind(spring, s, modes[nd + s], e, gone, w[nd + s])
+                                w1[nd + s] = laws.wind(spring, s, modes[nd + s], mean[two] - mean[one], gone, w[nd + s])
                         if tree is not None:
                             equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
                             for i in range(links):

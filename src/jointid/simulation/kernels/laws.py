@@ -36,16 +36,15 @@ for _number, _law in enumerate(_more, 1):
 
 
 @inline_kernel
-def wind(numbers: NDArray[Any], i: int, way: float, x: Any, h: float, w: Any) -> Any:
-    """Advance what is wound up, w, by h seconds and a motion x; numbers may be complex, but for h."""
-    v = x * (1.0 / h)
+def wind(numbers: NDArray[Any], i: int, way: float, v: Any, h: float, w: Any) -> Any:
+    """Advance what is wound up, w, by h seconds of a mean velocity v; numbers may be complex, but for h."""
     rate, by_state = wind_up(numbers, i, way, v, w)
     grows, end = h * by_state, w + h * rate
     if rate * by_state != 0.0 and grows.real < 1.0:  # the exponential of a complex step is its tangent
         if abs(grows.real) < 0.5:  # the series of (exp(x) - 1) / x, within 3e-11
             x, y = grows, grows * grows
             higher = (1 / 120 + x / 720) + y * ((1 / 5040 + x / 40320) + y * (1 / 362880 + x / 3628800))
-            end = w + h * rate * ((1.0 + x / 2) + y * ((1 / 6 + x / 24) + y * higher))
+            end = (w + h * rate * ((1.0 + x / 2) + y * (1 / 6 + x / 24))) + (h * rate * (y * y)) * higher
         else:
             more = math.expm1(grows.real)
             end = w + (rate / by_state) * (more + (1.0 + more) * (grows - grows.real))

@@ -90,7 +90,7 @@ def _fill_factors(
         for s in range(ns):
             one, two, x, to, piece = pairs[s, 0], pairs[s, 1], nd + s, end * half + nd + s, tape[row, at + nd + s]
             speed, way, begun = mean[_SPEED, two] - mean[_SPEED, one], tape[row, modes + nd + s], wound + nd + s
-            w = laws.wind(spring, s, way, 0.5 * speed * h, 0.5 * h, tape[row, begun])
+            w = laws.wind(spring, s, way, speed, 0.5 * h, tape[row, begun])
             w += side * (tape[row + 1, begun] - tape[row, begun])
             e = mean[_PLACE, two] - mean[_PLACE, one] + side * (change[_PLACE, two] - change[_PLACE, one])
             de = speed + side * (change[_SPEED, two] - change[_SPEED, one])
@@ -108,7 +108,7 @@ def _fill_factors(
             k[to, kernels.INERTIA] = -mean[_CHANGE, i] - side * change[_CHANGE, i]
             if mass[i, kernels.WINDING] > 0.0:
                 f[_FIRST + end, i] = -grip
-                share = laws.wind(mass, i, mode, 0.5 * speed * h, 0.5 * h, tape[row, wound + i])
+                share = laws.wind(mass, i, mode, speed, 0.5 * h, tape[row, wound + i])
                 share += side * (tape[row + 1, wound + i] - tape[row, wound + i])
             speed += side * change[_SPEED, i]
             f[_GOES, i] = 1.0 if mode != 0.0 else 0.0
@@ -125,8 +125,9 @@ def _fill_factors(
         law[0, _WOUND], law[0, _GONE] = w, h * _stretch(mean.T, pairs, nd, x, _SPEED)
         for n in range(kernels.WINDING, _GONE + 1):  # by complex steps
             law[0, n] += _SMALL
-            middle = laws.wind(law, 0, way, 0.5 * law[0, _GONE], 0.5 * h, law[0, _WOUND]).imag / _SMALL.imag
-            f[_TURNS + n, x] = laws.wind(law, 0, way, law[0, _GONE], h, law[0, _WOUND]).imag / _SMALL.imag
+            speed = law[0, _GONE] * (1.0 / h)
+            middle = laws.wind(law, 0, way, speed, 0.5 * h, law[0, _WOUND]).imag / _SMALL.imag
+            f[_TURNS + n, x] = laws.wind(law, 0, way, speed, h, law[0, _WOUND]).imag / _SMALL.imag
             law[0, n] -= _SMALL
             k[x, n], k[x + half, n] = k[x, n] + f[_FIRST, x] * middle, k[x + half, n] + f[_LAST, x] * middle
         f[_ENTERS, x], f[_WINDS, x] = 0.5 * (k[x, _WOUND] + k[x + half, _WOUND]), k[x, _GONE] + k[x + half, _GONE]
