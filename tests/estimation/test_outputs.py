@@ -22,6 +22,7 @@ from tests.robots_plants import two
 SAMPLE_TIME = 2e-3
 TRUTH = {"inertia": 0.5, "viscous": 0.6, "coulomb": 1.5, "offset": 0.2}
 LAW = ji.controller.PD(position_gain=400.0, derivative_gain=30.0)
+LOOP = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
 
 
 def logged(law: Any = LAW, truth: dict[str, float] | None = None, noise: float = 1e-4, **more: Any) -> ji.Record:
@@ -88,10 +89,8 @@ def test_a_free_gain_needs_a_known_parameter() -> None:
 
 
 def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
-    found = ji.identify(logged().without("torque"), loop)
-    checked = found.diagnosis
-    assert not {"log_gain", "log_delay"} & {test.name for test in checked.axes[0].faults.tests}
+    found = ji.identify(logged().without("torque"), LOOP)
+    assert not {"log_gain", "log_delay"} & {test.name for test in found.diagnosis.axes[0].faults.tests}
 
 
 def test_positions_are_of_several_records_and_of_windows() -> None:
@@ -112,8 +111,7 @@ def test_positions_are_of_several_records_and_of_windows() -> None:
 
 
 def test_an_estimate_of_the_position_is_profiled() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
-    found = ji.identify(logged(), loop, ji.DIDIM(outputs=("motor_position",)), checks=False)
+    found = ji.identify(logged(), LOOP, ji.DIDIM(outputs=("motor_position",)), checks=False)
     (profile,) = ji.intervals(found, logged().without("torque"))
     low, high = profile.interval
     assert low is not None and high is not None and low < 0.5 < high
@@ -144,14 +142,12 @@ def test_the_derivatives_are_those_of_the_residual() -> None:
 
 
 def test_the_controller_is_not_compared_with_its_own_torque() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
-    assert compare_law(logged(), loop) is not None
-    assert compare_law(ji.controller.compute_controller_torque(logged(), loop), loop) is None
+    assert compare_law(logged(), LOOP) is not None
+    assert compare_law(ji.controller.compute_controller_torque(logged(), LOOP), LOOP) is None
 
 
 def test_idim_takes_a_computed_torque() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), LAW)
-    found = ji.identify(ji.controller.compute_controller_torque(logged().without("torque"), loop), loop, ji.IDIM())
+    found = ji.identify(ji.controller.compute_controller_torque(logged().without("torque"), LOOP), LOOP, ji.IDIM())
     assert found["inertia"].value == pytest.approx(0.5, rel=0.01)
     assert scale_status(found) == [None]
     assert found.answer.trust.values["reasons"] == ["motion_measured"]
@@ -221,16 +217,11 @@ def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared()
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_torque_and_position_of_the_twin_agree_within_their_intervals(noise: Any) -> None:
     made = twin("L19", noise=noise, seed=3)
-    torque, position = (
-        ji.identify(
-            made.record,
-            made.loop,
-            ji.DIDIM(outputs=(output,), frequency=30.0),
-            filtering=ji.Filtering(cutoff=60.0),
-            checks=False,
-        )
-        for output in ("torque", "motor_position")
+    methods, how = (
+        [ji.DIDIM(outputs=(one,), frequency=30.0) for one in ("torque", "motor_position")],
+        ji.Filtering(cutoff=60.0),
     )
+    torque, position = (ji.identify(made.record, made.loop, one, filtering=how, checks=False) for one in methods)
     for name, truth in made.truth.items():
         of_torque, of_position = torque[name], position[name]
         width = math.hypot(of_torque.stderr or 0.0, of_position.stderr or 0.0)

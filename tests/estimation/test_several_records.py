@@ -199,11 +199,7 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     emps: Record, emps_pulses: Record, friction: str
 ) -> None:
     """Least squares gives 95.4 and 94.1 kg, the solutions by the regressor lie between; every interval holds both."""
-    loop = (
-        RIGID
-        if friction == "symmetric"
-        else ClosedLoop(RigidJoint("prismatic", friction=Friction("asymmetric")), CONTROLLER)
-    )
+    loop = replace(RIGID, joint=RigidJoint("prismatic", friction=Friction(friction)))
     pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
     found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)
     parts = found.agreement.parts

@@ -107,9 +107,8 @@ class Bounds:
         """Return the nearest point within the bounds."""
         return np.minimum(np.maximum(x, self.lower), self.upper)
 
-    def shift_to(self, x: FloatArray, reach: FloatArray | None = None) -> Bounds:
-        """Bounds on a step from a point, no longer than `reach`."""
-        longest = math.inf if reach is None else reach
+    def shift_to(self, x: FloatArray, longest: FloatArray | float = math.inf) -> Bounds:
+        """Bounds on a step from a point, no longer than `longest`."""
         return Bounds(np.maximum(self.lower - x, -longest), np.minimum(self.upper - x, longest))
 
 

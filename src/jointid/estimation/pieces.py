@@ -696,7 +696,7 @@ def identify_windows(
 
     enough = 1e-6 * math.sqrt(sums.size)  # of the torque: a residual as good as none
     # Of a row's noise, squared: a step worth less moves no parameter by a third of a deviation.
-    solution = solve(problem, LevenbergMarquardt(1e-8, 12, None, 0.1 / sums.rows, enough), x, watch)
+    solution = solve(problem, LevenbergMarquardt(1e-8, 12, worth=0.1 / sums.rows, enough=enough), x, watch)
     found, x = problem.pass_over(solution.x), solution.x
     if found.stopped:
         raise MethodError(f"{found.stopped}: check the controller and the start, or begin from another window.")

@@ -68,8 +68,7 @@ class Solution:
 
     Attributes:
         x: the free parameters.
-        residual: there, (rows,).
-        jacobian: its derivatives, (rows, free).
+        residual, jacobian: there, (rows,), and its derivatives, (rows, free).
         status: why it ended. message: the same with the solver's numbers.
         trace: norms of the residual, at the start and after each step that was made.
         evaluations: of the problem.
@@ -123,7 +122,7 @@ class LevenbergMarquardt:
 
     Attributes:
         tolerance, evaluations: relative, on criterion and parameters; at most, each with the derivatives.
-        reach: (parameters,) largest change of each per step, None without one; far away one may have no effect.
+        reach: (parameters,) largest change of each per step; far away one may have no effect.
         worth: relative: a step with a smaller predicted decrease of the criterion is not evaluated; 0 makes every step.
         enough, poor: norms of the residual at which the search ends, and from which on it ends after a few evaluations.
         admits: whether a step may lead to a point; else the point is not evaluated, and the step refused.
@@ -131,7 +130,7 @@ class LevenbergMarquardt:
 
     tolerance: float = 1e-8
     evaluations: int = 60
-    reach: FloatArray | None = None
+    reach: FloatArray | float = math.inf
     worth: float = 0.0
     enough: float = 0.0
     poor: float = math.inf
@@ -155,21 +154,24 @@ def solve(
     error, J = counted.linearise(x)
     trace, damping, used = [float(np.linalg.norm(error))], _DAMPING, 1
     status = None if J.any() and math.isfinite(_gain(1.0, error, J)) else Status.NOT_EVALUABLE
-    share, idle, limit = 1.0, 0, max(solver.tolerance, _RESOLVED)
+    share, idle, limit, largest = 1.0, 0, max(solver.tolerance, _RESOLVED), np.zeros(x.size)
     while status is None and trace[-1] > solver.enough:
         if used >= (solver.evaluations if trace[-1] < solver.poor else min(solver.evaluations, _FEW)):
             break
-        norm, reach = trace[-1], None if solver.reach is None else share * solver.reach
+        norm, reach = trace[-1], share * solver.reach
         room = bounds.shift_to(x, reach)
-        step = damped_step(error, J, room, damping, widths)
-        cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
+        # What a law no longer tells where it vanishes, as a slider's stiffness without torque, is not moved.
+        largest = np.maximum(largest, sizes := np.linalg.norm(J, axis=0))
+        told = np.where(sizes > _RESOLVED * largest, J, 0.0)
+        step = damped_step(error, told, room, damping, widths)
+        cut = (taken := float(np.max(np.abs(step) / reach))) >= _CUT
         if solver.worth > 0.0 and damping <= _DAMPING and not cut and _gain(norm, error + J @ step) <= solver.worth:
             status = Status.WORTH
             break
         after = counted.linearise(x + step) if solver.admits(x + step) else (np.full(1, math.inf), J)
         used, gained = used + 1, _gain(norm, *after)
         # Where the least lies at a kink, shorter steps only creep towards it.
-        crossed = damping > 1.0 and reach is None and -math.inf < gained <= 0.0 and used < solver.evaluations
+        crossed = damping > 1.0 and not cut and -math.inf < gained <= 0.0 and used < solver.evaluations
         kink = _find_kink((error, J), step, after) if crossed else None
         if kink is not None:
             to, along = kink[2] * step, damped_step(*kink[:2], room, 0.0, widths)
@@ -188,15 +190,13 @@ def solve(
         if damping <= 1.0 and not cut and (small or abs(gained) <= solver.tolerance):
             status = Status.STEP if small else Status.COST
         # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
-        elif gained <= 0.0 and _gain(norm, error + J @ damped_step(error, J, bounds.shift_to(x))) < limit:
+        elif gained <= 0.0 and _gain(norm, error + J @ damped_step(error, told, bounds.shift_to(x))) < limit:
             status = Status.ROUNDING
         # Steps, long or short, that change nothing, with none between them that does, have come to the end.
         idle = 0 if gained > solver.tolerance else idle + (abs(gained) <= solver.tolerance)
         if status is None and (idle >= _PATIENCE or damping >= _MOST):
             status = Status.COST if idle >= _PATIENCE else Status.NO_DESCENT
-        if solver.reach is not None:
-            shorter = max(_SHORTER * min(float(np.max(np.abs(step) / solver.reach)), share), _NEAREST)
-            share = min(_FARTHER * share, 1.0) if gained > 0.0 else shorter
+        share = min(_FARTHER * share, 1.0) if gained > 0.0 else max(_SHORTER * taken * share, _NEAREST)
         damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
     enough = status is not Status.NOT_EVALUABLE and trace[-1] <= solver.enough
     status = Status.ENOUGH if enough else status or Status.EVALUATION_LIMIT
