@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import jointid as ji
+from jointid.common.document import Table
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.diagnosis import diagnose_joint
 from jointid.diagnostics.suspects import AxisFaults
@@ -25,6 +26,13 @@ identify = partial(ji.identify, checks=False)
 def amended(estimate: T, **parts: Mapping[str, Any]) -> T:
     """Return an estimate with some entries exchanged: ``amended(estimate, fit={"converged": False})``."""
     return replace(estimate, **{name: replace(getattr(estimate, name), **entries) for name, entries in parts.items()})
+
+
+def beside_tables(estimate: ji.Estimate) -> dict[str, str]:
+    """Return what an answer says beside its first line and its tables: at most four lines, by their names."""
+    said = [pair for block in estimate.to_document().blocks if not isinstance(block, Table) for pair in block.pairs]  # type: ignore[union-attr]
+    assert len(said) <= 4 and "--details" in said[-1][1]
+    return dict(said)
 
 
 def errors_of_bodies(estimate: ji.Estimate, bodies: Robot, records: Sequence[ji.Record]) -> list[float | None]:

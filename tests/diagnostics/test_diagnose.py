@@ -11,7 +11,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.config import load
 from jointid.diagnostics.diagnose import diagnose
-from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.diagnostics.explain import find_failure_causes
 from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.estimation.methods.idim import IDIM
@@ -67,21 +66,14 @@ SPOILED: dict[str, tuple[Callable[[str], Told], set[str], set[str]]] = {
 }
 
 
-def told(record: Record, loop: ClosedLoop) -> Diagnosis:
-    found = diagnose(record, loop)
-    assert not found.healthy
-    return found
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("spoiled", "on"), [*((one, "rigid") for one in SPOILED), ("wrong gain", "flexible")])
 def test_a_spoiled_record_is_named_for_what_it_is(spoiled: str, on: str) -> None:
     make, with_position, without = SPOILED[spoiled]
     record, loop = make(on)
-    found = told(record, loop)
-    assert {one.code for one in found.symptoms if one.spoils} & with_position, str(found)
-    found = told(record.without("motor_position", "load_position"), loop)
-    assert {one.code for one in found.symptoms if one.spoils} & without, str(found)
+    for one, codes in ((record, with_position), (record.without("motor_position", "load_position"), without)):
+        found = diagnose(one, loop)
+        assert {symptom.code for symptom in found.symptoms if symptom.spoils} & codes, str(found)
 
 
 @pytest.mark.slow
@@ -93,8 +85,7 @@ def test_nothing_is_wrong_with_a_record_at_its_declared_limit() -> None:
     noise = 5e-3 * np.random.default_rng(1).standard_normal(reference.size)
     record = simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise, tap="measured")
     assert 0.1 < np.mean(np.abs(record.torque.values) > 0.99 * 1.1) < 0.4
-    found = diagnose(record, loop)
-    assert found.healthy, str(found)
+    assert diagnose(record, loop).healthy
 
 
 def test_a_law_holds_that_is_fifty_times_faster_than_the_log_of_a_motion_up_to_a_fifth_of_its_rate() -> None:
@@ -150,17 +141,14 @@ def test_a_real_axis_is_looked_over(name: str, data_dir: Path) -> None:
 
 def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     record, loop = without_mistake(axis("rigid"))
-    found = diagnose(record.without("reference"), loop)
-    assert found.symptoms[0].code == "unreadable"
+    assert diagnose(record.without("reference"), loop).symptoms[0].code == "unreadable"
     dead = replace(record.torque, values=0.0 * record.torque.values)
-    found = diagnose(record.with_channels({"torque": dead}), loop)
-    assert found.symptoms[0].code == "motion_poor"
+    assert diagnose(record.with_channels({"torque": dead}), loop).symptoms[0].code == "motion_poor"
     still = record.with_channels({"reference": replace(record.reference, values=0.0 * record.reference.values)})
     assert find_failure_causes(still, loop) is None
     assert [one.code for one in diagnose(still, loop).symptoms] == ["motion_poor"]
     short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
-    found = diagnose(Record(**short, name="short"), loop)  # type: ignore[arg-type]
-    assert not found.healthy
+    assert not diagnose(Record(**short, name="short"), loop).healthy  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -10,6 +10,8 @@ import jointid as ji
 from jointid.diagnostics.search import find_part
 from jointid.estimation.result.verdict import Reason, Subject
 from studies import healthy, robot_mistakes
+from tests.estimates import beside_tables
+from tests.frozen.cases import faulty
 
 STEP, BEGIN, END = 1e-3, 3.0, 3.8  # s, of the log and of a push
 LOOP = ji.ClosedLoop(
@@ -36,8 +38,15 @@ def test_a_push_is_found_in_its_part_of_the_time_and_no_fault_is_named(size: flo
     assert (loop.passed, loop.code) == (False, Reason.MISFIT_IN_PART)
     assert BEGIN - 0.1 < loop.values["begin"] < loop.values["end"] < END + 0.1
     assert not (found.answer.reliable or found.diagnosis.axes[0].faults.findings)
+    assert "leave_out" in beside_tables(found)["next"]
+    assert ji.diagnose(record, LOOP).summary().count("does not follow the model") == 1  # once
     left_out = tuple(map(tuple, json.loads(str(loop.words).partition("leave_out = ")[2].removesuffix(")"))))
     assert ji.identify(replace(record, left_out=left_out), LOOP).answer.reliable
+
+
+def test_a_push_that_the_fit_follows_is_found_too() -> None:
+    (loop,) = faulty("a_push", "rigid").about(Subject.LOOP)  # from 1.7 to 2.3 s
+    assert loop.code is Reason.MISFIT_IN_PART and 1.6 < loop.values["begin"] < loop.values["end"] < 2.4
 
 
 def test_noise_that_comes_back_is_no_part() -> None:

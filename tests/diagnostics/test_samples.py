@@ -19,6 +19,8 @@ from jointid.estimation.result.verdict import Reason
 from jointid.records.record import Channel, Record
 from studies.healthy import drive
 from studies.mechanics import lose
+from tests.rigid_axis import LOOP, TRUTH
+from tests.rigid_axis import REFERENCE as SHORT_MOVES
 
 T = 1e-3
 REFERENCE = ji.excitation.trapezoids((0.5, 1.0), 4.0, 1.0, T, rest=0.5, duration=8.0)
@@ -64,16 +66,8 @@ def test_only_the_time_since_the_first_motion_counts(seconds: float, found: bool
         assert message.values["seconds"] == pytest.approx(seconds, abs=0.01)
 
 
-LOOP = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-
-
 def moved(reference: FloatArray) -> ji.Record:
     return ji.simulated_record(LOOP, reference, TRUTH, sample_time=1e-3).without("motor_position")
-
-
-def short_moves() -> FloatArray:
-    return ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
 
 
 def without(record: ji.Record, first: int, count: int) -> ji.Record:
@@ -83,7 +77,7 @@ def without(record: ji.Record, first: int, count: int) -> ji.Record:
 
 @pytest.mark.parametrize("count", [1, 4, 12])
 def test_an_identification_names_the_place_and_the_number(count: int) -> None:
-    whole = moved(short_moves())
+    whole = moved(SHORT_MOVES)
     speed = np.abs(np.diff(whole.reference.values))
     first = int(np.flatnonzero(speed > 0.9 * speed.max())[20])  # at full speed
     found = ji.identify(without(whole, first, count), LOOP)
@@ -92,17 +86,16 @@ def test_an_identification_names_the_place_and_the_number(count: int) -> None:
 
 
 def test_a_reference_that_is_held_coarse_or_stepped_lacks_no_samples() -> None:
-    reference = short_moves()
-    held = np.repeat(reference[::4], 4)[: reference.size]
-    coarse = 1e-5 * np.round(reference / 1e-5)
+    held = np.repeat(SHORT_MOVES[::4], 4)[: SHORT_MOVES.size]
+    coarse = 1e-5 * np.round(SHORT_MOVES / 1e-5)
     stepped = 0.01 * np.sign(np.sin(2 * np.pi * 0.7e-3 * np.arange(4000)))
-    noisy = reference + 2e-6 * np.random.default_rng(1).standard_normal(reference.size)
-    for one in (reference, held, coarse, stepped, noisy):
+    noisy = SHORT_MOVES + 2e-6 * np.random.default_rng(1).standard_normal(SHORT_MOVES.size)
+    for one in (SHORT_MOVES, held, coarse, stepped, noisy):
         assert find_lost_samples(moved(one)) is None
 
 
 def test_most_losses_of_a_motion_are_found() -> None:
-    whole = moved(short_moves())
+    whole = moved(SHORT_MOVES)
     assert sum(find_lost_samples(lose(whole, seed)) is not None for seed in range(20)) >= 16
     for first in range(100, 3600, 120):  # 30 gaps of one sample, of which some are at rest
         whole = without(whole, first, 1)
@@ -127,7 +120,7 @@ STEPS = 0.02 * np.sign(np.sin(2 * np.pi * 0.7e-3 * np.arange(4000)))
 
 @pytest.mark.parametrize(("edit", "cause"), [(zeroed, "new_zero"), (commanded, "profiled_steps"), (None, None)])
 def test_a_new_zero_and_steps_that_a_drive_makes_smooth_are_named(edit: Any, cause: str | None) -> None:
-    for reference in (short_moves(), *((STEPS,) if edit is None else ())):
+    for reference in (SHORT_MOVES, *((STEPS,) if edit is None else ())):
         whole = ji.simulated_record(LOOP, reference, TRUTH, sample_time=1e-3)
         found = find_plain_cause(whole if edit is None else edit(whole))
         assert (None if found is None else found.values["causes"][0]["cause"]) == cause
@@ -142,7 +135,7 @@ def test_a_motion_one_way_is_not_relied_on_beside_an_injected_signal_that_does_n
 
 @pytest.mark.parametrize("steps", [0.4, 6])  # of an encoder: the friction holds it, or hardly lets it go
 def test_an_axis_that_moves_by_a_few_steps_of_its_encoder_hardly_moves(steps: float) -> None:
-    record = ji.simulated_record(LOOP, short_moves(), TRUTH, sample_time=1e-3)
+    record = ji.simulated_record(LOOP, SHORT_MOVES, TRUTH, sample_time=1e-3)
     motor = record.motor_position
     step = np.ptp(motor.values) / steps
     values = motor.values[0] + step * np.round((motor.values - motor.values[0]) / step)

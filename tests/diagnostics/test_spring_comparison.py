@@ -15,6 +15,7 @@ from jointid.estimation.methods import didim
 from jointid.models.springs import SPRINGS, Spring
 from studies.mechanics import spoiled
 from tests.plants import Case, cut, prismatic, with_spring
+from tests.rigid_axis import LOOP, recorded
 
 compare_springs = partial(
     compare_laws, kind="spring", filtering=None, parameters=None, didim=None, progress=ignore_progress
@@ -47,13 +48,7 @@ def judging(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
 @pytest.mark.slow
 def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
     judging(monkeypatch, "linear", "backlash", "three-piece")  # the fewest parameters, and the most
-    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    noise = 0.5 * np.random.default_rng(3).standard_normal(len(record.torque))
-    record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
-    found = compare_springs(record, replace(loop, joint=ji.FlexibleJoint("prismatic")))
+    found = compare_springs(recorded(0.5, seed=3), replace(LOOP, joint=ji.FlexibleJoint("prismatic")))
     assert found.shown.name == RIGID
     assert found.answer.code == "no_spring"
 

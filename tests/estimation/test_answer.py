@@ -10,7 +10,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.verdict import AGAINST_EVERY_VALUE, Check, Reason, StiffnessBound, Subject, Trust
 from jointid.estimation.result.verdict import judged as with_verdicts
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from tests.estimates import amended
+from tests.estimates import amended, beside_tables
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
 from tests.rigid_axis import LOOP, recorded
 
@@ -105,6 +105,8 @@ def test_what_speaks_against_a_value(estimate: Estimate, trust: str, reasons: li
     answer = estimate.answer
     assert (answer.trust.code, answer.trust.values) == (trust, {"reasons": reasons, "parameters": parameters})
     assert answer.reliable is trust.startswith("reliable")
+    beside = beside_tables(estimate.warn("it was so"))
+    assert [*beside] == ["next", "limits", "details"] and beside["limits"].endswith(" more)")
 
 
 def test_the_answer_is_a_value_with_its_interval() -> None:
@@ -112,8 +114,8 @@ def test_the_answer_is_a_value_with_its_interval() -> None:
     assert str(answer) == "Inertia 94.90 ± 0.92 kg. You can rely on it."
     assert (answer.found.code, answer.found.values["value"]) == ("value", 94.9034)
     assert answer.found.values["two_sigma"] == 0.92
-    said = replace(RIGID, checks=(Check(Reason.SPRING_NOT_LINEAR, "soft", name=Subject.LOOP, passed=False),)).summary()
-    assert "mechanics" in said and "loop" not in said
+    soft = replace(RIGID, checks=(Check(Reason.SPRING_NOT_LINEAR, "soft", name=Subject.LOOP, passed=False),))
+    assert "mechanics" in (said := soft.summary(details=True)) and "loop" not in said
     mode = judged(flexible()).answer.found.values["mode_hz"]
     assert mode == pytest.approx(np.sqrt(17467.0 * 4) / (2 * np.pi))
 

@@ -117,3 +117,5 @@ def test_a_rigid_joint_needs_no_load() -> None:
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
     assert any("rests in" in warning for warning in estimate.warnings)
+    with pytest.raises(ji.MethodError, match="DRIVE_SIDE"):
+        ji.intervals(estimate, record)

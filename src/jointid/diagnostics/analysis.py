@@ -144,9 +144,9 @@ def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProbl
     Raises:
         MethodError: the estimate is not by DIDIM or lacks a value, or the record is another one.
     """
-    loop = estimate.settings.loop
+    settings = estimate.settings
+    joint, loop, method = settings.joint, settings.loop, settings.method.upper()  # a robot is refused as such
     if loop is None:
-        method = estimate.settings.method.upper()
         raise MethodError(f"Only DIDIM simulates a loop that can be followed; received an estimate by {method}.")
     estimate.require_values()
     if "motor_position" in estimate.data.channels and not record.computed:  # its torque was computed from that
@@ -156,7 +156,7 @@ def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProbl
         other = f"The estimate is from {estimate.data.record}, and {record.name} has another torque: give its record."
         raise MethodError(other if estimate.data.windows is None else IN_WINDOWS)
     values = {p.name: p.value or 0.0 for p in estimate.rows}
-    problem = torque_problem(record, loop, estimate.settings.filtering, estimate.settings.joint.parameters)
+    problem = torque_problem(record, loop, settings.filtering, joint.parameters)
     problem = problem.freeing(*(name for name in values if name not in problem.units))
     problem = problem.keeping({p.name: values[p.name] for p in estimate.rows if not p.free})
     return problem, problem.vector(values)

@@ -198,13 +198,14 @@ class Diagnosis(Documented):
         return self.sentences[0] if self.sentences else f"Nothing is wrong with {self.name}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """Symptoms, a table of the axes, remedies (not in detail), and comparisons of laws."""
-        remedies = () if details else self.sentences
-        said = tuple(sentence(str(one)) for one in self.symptoms)
-        blocks: list[Block] = [Text("What is wrong", "heading"), Text("\n".join(said), "list")] if said[1:] else []
+        """What else was found, a table of the axes, and comparisons of laws; only symptoms are listed in detail."""
+        said, others = self.sentence, list[str]()
+        for one in map(sentence, (*map(str, self.symptoms), *(() if details else self.sentences))):
+            if one[1:-1] not in said:
+                said, others = said + one, [*others, one]
+        blocks: list[Block] = [Text("Further findings", "heading"), Text("\n".join(others), "list")] if others else []
         blocks += [] if self.transmission is None else [Facts((("transmission", str(self.transmission)),))]
         blocks += [self._table()] if self.axes else []
-        blocks += [Text("What to do", "heading"), Text("\n".join(remedies), "list")] if remedies else []
         for part in (one.to_document() for one in self.laws):
             blocks += [Text(part.title, "heading"), *part.blocks]
         return Document(self.sentence, tuple(blocks))

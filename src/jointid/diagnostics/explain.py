@@ -123,12 +123,12 @@ class Causes:
             values = {"nearest": self.nearest.name, "error": self.nearest.left}
             clause += f": the nearest is that {self.nearest.words}, which leaves {number(100 * self.nearest.left, 2)} %"
         if self.unexplained > _SUSPICIOUS:
-            said = f"{number(100 * self.unexplained, 2)} % of the torque is no response to the reference: check which "
-            said += "column is the torque, and declare a signal that is injected (channel injected)"
-            clause += f"; {said}"
+            said = f"{number(100 * self.unexplained, 2)} % of the torque is no response to the reference"
+            remedy = "check which column is the torque, and declare a signal that is injected (channel injected)"
+            clause, left, values = f"{clause}; {said}", f"{left}; {remedy}", {**values, "remedy": remedy}
             if self.unexplained > _UNRELATED and self.nearest is None:
                 causes = [{"cause": "torque_column", "value": None, "error": self.unexplained}]
-                return Message(Reason.CAUSE_FOUND, said, {"causes": causes, "declared_error": declared}, said)
+                return Message(Reason.CAUSE_FOUND, f"{said}: {remedy}", {"causes": causes, "remedy": remedy}, said)
         return Message(Reason.NO_CAUSE_FOUND, f"{clause}; {left}", values, clause)
 
 

@@ -20,12 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.document import Document, Documented, Facts, Table, common_facts
+from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Detail, Message, Progress, follow
 from jointid.common.parameters import Parameter
 from jointid.common.text import interval, number
-from jointid.common.transmission import Transmission
 from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods import Task
 from jointid.estimation.methods.didim import DIDIM
@@ -96,7 +95,6 @@ class LawComparison(Documented):
         record: its name.
         laws: all that could be identified, by rising number of parameters; of a spring a rigid joint first.
         declared: name of the law in the joint.
-        transmission: on whose side the numbers are.
     """
 
     in_json = "shown answer"
@@ -104,7 +102,6 @@ class LawComparison(Documented):
     record: str
     laws: tuple[JudgedLaw, ...]
     declared: str
-    transmission: Transmission | None = None
 
     @property
     def shown(self) -> JudgedLaw:
@@ -134,8 +131,7 @@ class LawComparison(Documented):
             rows.append((one.name, str(one.parameters), *errors, rating, one.words))
         header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
         note = f"kept apart: a third of {PARTS} parts of the record, in turn, by the fit to the others"
-        facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
-        return Document(f"{self.answer}.", (facts, Table(header, tuple(rows), note, words=(0, 4, 5))))
+        return Document(f"{self.answer}.", (Table(header, tuple(rows), note, words=(0, 4, 5)),))
 
 
 def cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
@@ -247,7 +243,7 @@ def compare_laws(
                 judged.append(judge(Solved(*fit_rigid(first.problem, first.values)), law))
             else:
                 judged.append(line if law == simple else judge(identify(law, first.problem.filtering), law))
-    return LawComparison(kind, record.name, rank(judged), getattr(joint, kind).name, joint.transmission)
+    return LawComparison(kind, record.name, rank(judged), getattr(joint, kind).name)
 
 
 def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:

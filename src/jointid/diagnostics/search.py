@@ -479,14 +479,16 @@ def find_part(residual: FloatArray, basis: FloatArray, time: FloatArray, rows: s
         return None
     begins, stops, share = float(own[first * size]), float(own[last * size - 1]), float(within[best] / ends[-1])
     around = _AROUND * (stops - begins)
-    clause = f"from {begins:.12g} to {stops:.12g} s the torque does not follow the model: leave it out "
-    clause += f"({offer('leave_out', [(max(begins - around, own[0]), min(stops + around, own[-1]))])})"
-    return Message(Reason.MISFIT_IN_PART, clause, {"begin": begins, "end": stops, "share": share}, clause)
+    clause = f"from {begins:.12g} to {stops:.12g} s the torque does not follow the model"
+    remedy = f"leave it out ({offer('leave_out', [(max(begins - around, own[0]), min(stops + around, own[-1]))])})"
+    values = {"begin": begins, "end": stops, "share": share, "remedy": remedy}
+    return Message(Reason.MISFIT_IN_PART, f"{clause}: {remedy}", values, clause)
 
 
 def find_part_of_loop(problem: ClosedLoopProblem, x: FloatArray, record: Record | None) -> Message | None:
     """Message on a period that contradicts a solved joint, or None."""
     speed = np.abs(problem.simulate(x).motor_velocity[problem.log.kept])
     moving = speed > RESTING * np.max(speed)  # an axis at rest hides a force in the loop
-    residual, time = problem.residual(x)[moving], problem.sample_time * problem.log.kept[moving]
-    return find_part(residual, np.zeros((residual.size, 1)), time if record is None else record.on_clock(time))
+    (residual, J), time = problem.linearise(x), problem.sample_time * problem.log.kept[moving]
+    basis = orthonormal_basis(J[moving], ROUNDING)
+    return find_part(residual[moving], basis, time if record is None else record.on_clock(time))

@@ -280,11 +280,11 @@ class AxisFaults:
         far = sorted(finding.changes.values(), key=lambda change: -abs(change.sigmas))[:_LISTED]
         if moved := [str(change) for change in far if abs(change.sigmas) >= _SMALLEST_SHIFT]:
             words += f"; correcting it changes {', '.join(moved)}"
-        if test.fault.remedy and finding.law is None:
-            words += f"; {test.fault.remedy.format(shape=number(test.shape, 3))}"
+        remedy = test.fault.remedy.format(shape=number(test.shape, 3)) if finding.law is None else ""
+        words += f"; {remedy}" if remedy else ""
         changes = {name: change.by for name, change in finding.changes.items()}
         numbers = {"size": test.size, "std": test.std, "p_value": test.p_value, "changes": changes}
-        values = {"suspect": test.name, "alike": [one.name for one in test.alike], **numbers}
+        values = {"suspect": test.name, "alike": [one.name for one in test.alike], "remedy": remedy, **numbers}
         return Message(test.fault.reason, words, values, clause)
 
     def _state(self, finding: Finding) -> str:

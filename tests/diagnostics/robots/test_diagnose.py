@@ -7,18 +7,23 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.diagnostics import suspects
+from jointid.diagnostics.analysis import intervals
 from jointid.diagnostics.axis_torques import torques_of_robot
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.search import search_axes
-from jointid.diagnostics.suspects import FAULTS
+from jointid.diagnostics.suspects import FAULTS, Fault
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.verdict import Subject
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
-from jointid.simulation.synthesis import simulate
+from jointid.simulation.synthesis import simulate, simulated_record
+from tests.estimates import beside_tables
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, axis_errors, identified, motion, records_of
+from tests.rigid_axis import LOOP, REFERENCE, TRUTH
 from tests.robots_plants import two
 
 
@@ -81,6 +86,7 @@ def test_a_log_that_is_wrong_is_named_at_its_joint_by_the_coupling_with_the_othe
     right = [(f"joint{joint + 1}", fault)] * ((joint, fault) != (4, "log_gain"))  # a force in its loop looks like that
     assert [*named(diagnosis), *([] if cause is None else [(*cause.joints, cause.name)])] == right
     assert any(one.passed is False for one in found.checks) or not right
+    assert found.answer.reliable or "next" in beside_tables(found)
     if right and fault == "log_gain":
         gain = 1.0 + diagnosis.axes[joint].faults.findings[0].test.size if cause is None else cause.value
         assert gain == pytest.approx(0.8, rel=0.1)  # by one step, beside the parameters of all joints
@@ -109,38 +115,49 @@ def test_gravity_that_the_model_lacks_is_named() -> None:
     assert diagnose_robot(identified(arm(2), records), records).cause is None
 
 
-def more_current(torque: FloatArray) -> FloatArray:
-    return torque * (1.0 + 0.1 * (torque / np.max(np.abs(torque))) ** 2)
+def drag(speed: FloatArray) -> FloatArray:
+    """Return a force that no row of the table has, of size 1 at the largest speed."""
+    return np.asarray((speed / np.max(np.abs(speed))) ** 3)
 
 
-def under_load(records: Sequence[Record], q: FloatArray, v: FloatArray) -> Sequence[Record]:
-    del q
-    return logged_torque(records, 1, lambda torque: torque + 0.1 * np.abs(torque) * np.sign(v))
-
-
-def along_the_travel(records: Sequence[Record], q: FloatArray, v: FloatArray) -> Sequence[Record]:
-    return logged_torque(records, 1, lambda torque: torque + 2.0 * np.sign(v) * (2.0 * (q - q.min()) / np.ptp(q) - 1.0))
-
-
-@pytest.mark.parametrize(
-    ("change", "fault", "size", "within"),
-    [
-        (under_load, "load_dependent_friction", 0.09, 0.02),
-        (lambda records, q, v: logged_torque(records, 1, more_current), "torque_saturation", 0.09, 0.03),
-        (along_the_travel, "uneven_friction", 2.0, 0.2),
-    ],
+NEW = Fault(
+    "drag", "drag of a fan", lambda seen: [(None, seen.force(-drag(seen.velocity)))], "take it off", measure="torque"
 )
-def test_what_adds_to_the_torque_of_one_joint_is_named_with_its_size(
-    change: Callable[[Sequence[Record], FloatArray, FloatArray], Sequence[Record]],
-    fault: str,
-    size: float,
-    within: float,
-) -> None:
-    q, v, _ = motion(2, 3)
-    records = change(records_of(arm(3), 2, noise=0.02), q[:, 1], v[:, 1])
+ADDED: dict[str, tuple[Callable[[FloatArray, FloatArray, FloatArray], FloatArray], float, float]] = {
+    "load_dependent_friction": (lambda u, q, v: 0.1 * np.abs(u) * np.sign(v), 0.09, 0.02),
+    "torque_saturation": (lambda u, q, v: 0.1 * u * (u / np.max(np.abs(u))) ** 2, 0.09, 0.03),
+    "uneven_friction": (lambda u, q, v: 2.0 * np.sign(v) * (2.0 * (q - q.min()) / np.ptp(q) - 1.0), 2.0, 0.2),
+    "drag": (lambda u, q, v: 3.0 * drag(v), 3.0, 0.3),
+}
+"""What adds to a torque along the motion, by the fault that it is, with its size and the tolerance of that."""
+
+
+@pytest.fixture
+def with_a_new_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Add a fault to the table: one row."""
+    monkeypatch.setattr(suspects, "_ROWS", (*suspects._ROWS, NEW))
+
+
+@pytest.mark.usefixtures("with_a_new_row")
+@pytest.mark.parametrize("fault", ADDED)
+def test_what_adds_to_the_torque_of_one_joint_is_named_with_its_size(fault: str) -> None:
+    (added, size, within), (q, v, _) = ADDED[fault], motion(2, 3)
+    records = records_of(arm(3), 2, noise=0.02)
+    records = logged_torque(records, 1, lambda torque: torque + added(torque, q[:, 1], v[:, 1]))
     found = diagnose_robot(identified(arm(3), records), records)
     assert named(found) == [("joint2", fault)]
     assert found.axes[1].faults.findings[0].test.size == pytest.approx(size, abs=within)
+
+
+@pytest.mark.usefixtures("with_a_new_row")
+def test_a_new_fault_of_a_joint_is_that_row_too() -> None:
+    noise = 0.3 * np.random.default_rng(0).standard_normal(REFERENCE.size)
+    force = -10.0 * drag(np.gradient(REFERENCE))
+    made = simulated_record(LOOP, REFERENCE, TRUTH, sample_time=1e-3, disturbance=force, torque_noise=noise)
+    joint = identify(made.without("motor_position"), LOOP)
+    assert named(joint.diagnosis) == [("", "drag")]
+    assert joint.diagnosis.axes[0].faults.findings[0].test.size == pytest.approx(10.0, rel=0.15)
+    assert beside_tables(joint)["next"].startswith("take it off")
 
 
 def test_samples_that_are_missing_are_named_with_their_place() -> None:
@@ -219,8 +236,11 @@ def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
     records = [Record(torque=one.torque, reference=one.reference) for one in logged_by(loop)]
     estimate = identified(loop, records)
     found = diagnose_robot(estimate, records)
-    assert found.as_declared is None
-    assert found.explained
+    assert found.as_declared is None and found.explained and beside_tables(estimate)
+    with pytest.raises(MethodError, match="received that of a robot"):  # not one by DIDIM, which it is
+        intervals(estimate, records[0])
+    copied = [replace(one, motor_position=one.reference) for one in records]
+    assert diagnose_robot(estimate, copied).cause.name == "reference_is_position"
     np.testing.assert_allclose([one.left for one in found.axes], axis_errors(estimate), rtol=1e-9)
     axes = tuple(replace(one, faults=replace(one.faults, explained=0.5)) for one in found.axes)
     assert [one[:19] for one in replace(found, axes=axes).sentences] == ["joint1 and joint2: "]

@@ -10,6 +10,7 @@ from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.robots.robot import JointSpring, RobotLoop
 from jointid.simulation.plant import robot_with
 from jointid.simulation.synthesis import simulate
+from tests.estimates import beside_tables
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.estimation.robots.twin import identified as identified_robot
 from tests.robots_plants import Twin, assert_springs, seven, six, stiffness_of, two
@@ -112,7 +113,8 @@ def test_a_rigid_robot_is_told_soon() -> None:
     asked = tuple(replace(joint, spring=JointSpring(5e3)) for joint in twin.robot.joints)
     found = identified_robot(RobotLoop(replace(loop.robot, joints=asked), loop.controllers), records)
     assert found.fit.simulations <= 24
-    told = found.summary()
+    told = found.summary(details=True)
+    assert "design" in beside_tables(found)["next"]
     assert "leave the springs out of the robot file" in " ".join(told.split())
     assert "damping" not in told
     springs = [row for name, row in found.parameters.items() if name.endswith((".damping", ".stiffness"))]

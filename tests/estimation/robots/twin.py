@@ -32,29 +32,16 @@ def arm(count: int = 6) -> Robot:
     """Return six joints with the lengths and masses of a light arm of 20 kg, or the first of them, which take less."""
     half = np.pi / 2
     rows = [(0, 0, 0.09), (half, 0, 0.13), (0, 0.425, -0.12), (0, 0.39, 0.1), (half, 0, 0.095), (-half, 0, 0.08)]
-    masses = (3.7, 8.4, 2.3, 1.2, 1.2, 0.6)
-    centres = (
-        (0, -0.03, -0.01),
-        (0.2, 0.01, 0.03),
-        (0.18, 0, -0.02),
-        (0, 0.01, 0.02),
-        (0, -0.01, 0.02),
-        (0.01, 0, -0.02),
-    )
-    sizes = (
-        (0.12, 0.12, 0.2),
-        (0.5, 0.12, 0.12),
-        (0.45, 0.1, 0.1),
-        (0.1, 0.1, 0.15),
-        (0.1, 0.1, 0.15),
-        (0.08, 0.1, 0.06),
-    )
+    bodies = (  # mass, centre and size of each link
+        (3.7, (0.0, -0.03, -0.01), (0.12, 0.12, 0.2)), (8.4, (0.2, 0.01, 0.03), (0.5, 0.12, 0.12)),
+        (2.3, (0.18, 0.0, -0.02), (0.45, 0.1, 0.1)), (1.2, (0.0, 0.01, 0.02), (0.1, 0.1, 0.15)),
+        (1.2, (0.0, -0.01, 0.02), (0.1, 0.1, 0.15)), (0.6, (0.01, 0.0, -0.02), (0.08, 0.1, 0.06)),
+    )  # fmt: skip
     links = []
-    for k, (alpha, d, r) in enumerate(rows):
+    for k, ((alpha, d, r), (mass, centre, size)) in enumerate(zip(rows, bodies, strict=True)):
         turn = np.array([[1, 0, 0], [0, np.cos(alpha), -np.sin(alpha)], [0, np.sin(alpha), np.cos(alpha)]])
-        square = np.array(sizes[k]) ** 2
-        inertia = np.diag(masses[k] / 12 * (square.sum() - square))
-        inertial = MassProperties(masses[k], np.array(centres[k], dtype=float), inertia).inertial
+        square = np.array(size) ** 2
+        inertial = MassProperties(mass, np.array(centre), np.diag(mass / 12 * (square.sum() - square))).inertial
         origin = np.array([d, 0.0, 0.0]) + turn @ np.array([0.0, 0.0, r])
         links.append(Link(f"link{k + 1}", k - 1, rotation=turn, origin=origin, inertial=inertial))
     joints = tuple(

@@ -6,8 +6,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from jointid import Estimate
-    from jointid.common.document import Document, Documented
+    from jointid.common.document import Documented
     from jointid.config import File
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
@@ -241,23 +241,16 @@ def show(line: object) -> None:
     put(f"{printable(str(line))}\n", sys.stdout)
 
 
-def show_result(result: Documented, *, details: bool = False, shown: Sequence[Document] = ()) -> Document:
-    """Print a result, in colour on a terminal; return its document.
-
-    Blocks of documents in `shown` are not printed again.
-    """
+def show_result(result: Documented, *, details: bool = False) -> None:
+    """Print a result, in colour on a terminal."""
     from jointid.common.document import plain_console
 
-    whole, known = result.to_document(details=details), [block for one in shown for block in one.blocks]
-    new = replace(whole, blocks=tuple(block for block in whole.blocks if block not in known))
-    if shown:
-        show("")
+    document = result.to_document(details=details)
     if sys.stdout.isatty():
         clear_bars()
-        new.print(plain_console())
+        document.print(plain_console())
     else:
-        show(new.text())
-    return whole
+        show(document.text())
 
 
 def tell(message: str) -> None:
@@ -342,14 +335,13 @@ def clear_bars() -> None:
         _bars().clear()
 
 
-def deliver(result: Documented, json: Path | None = None, **printed: Any) -> Document:
-    """Print a result by `show_result`, and write it as JSON if requested; return its document."""
+def deliver(result: Documented, json: Path | None = None, *, details: bool = False, brief: bool = False) -> None:
+    """Print a result by `show_result`, or its sentence, and write it as JSON if requested."""
     from jointid.output import json as answers
 
-    document = show_result(result, **printed)
+    show(f"{result.sentence}\n") if brief else show_result(result, details=details)
     if json is not None:
         write_whole(json, answers.dumps(answers.to_dict(result)))
-    return document
 
 
 def ready(listener: Progress, *, derivatives: bool = True) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -24,8 +25,8 @@ def identify(
 ) -> None:
     """Identify a joint or a robot from its record.
 
-    Or from several records in one fit, or from hours of a log in bounded memory. The values are printed first, then
-    their checks. The estimate is stored beside the joint file, and other commands begin from it.
+    Or from several records in one fit, or from hours of a log in bounded memory. The first line is printed before the
+    checks, too. The estimate is stored beside the joint file, and other commands begin from it.
 
     Args:
         joint: the joint file (TOML), or a robot file, which has the table [robot].
@@ -45,12 +46,11 @@ def identify(
         raise MethodError(IN_WINDOWS)
     if figure is not None and (len(options.records) > 1 or file.runs or file.source.parts):
         options = replace(options, again=True)  # the torque of several records is not kept
-    shown = list[Any]()
     record, found = options.identify(
         file, several=True, whole=figure is not None, window=window, checks=not no_checks,
-        first=lambda one: shown.append(deliver(one, options.json, details=details)),
+        first=partial(deliver, json=options.json, brief=True),
     )  # fmt: skip
-    deliver(found, options.json, details=details, shown=shown)
+    deliver(found, options.json, details=details)
     if figure is not None:
         figures.save(figures.torque(found if found.fit.measured.size else validate(found, record)), figure)
 

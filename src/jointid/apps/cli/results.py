@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready, show, show_result, spare
@@ -44,7 +45,7 @@ def report(
     records = (Path(file.record_path(options.record)),)
     named = {"axis": options.axis, "held_out": held_out and held_out.name}
     again = repetition(joint, records, named, options.changes, html.name)
-    record, found = options.identify(file, whole=True, first=show_result)
+    record, found = options.identify(file, whole=True, first=partial(deliver, brief=True))
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,

@@ -429,11 +429,7 @@ class Estimate(Documented):
         return np.asarray(columns @ np.array([*self.values.values()])).reshape(shape)
 
     def to_document(self, *, details: bool = False) -> Document:
-        """The estimate as a document: tables, errors, failed verdicts and warnings.
-
-        Args:
-            details: whether to add the verdicts that passed, all reasons, tests, effort and settings.
-        """
+        """The estimate as a document, with all checks, effort and settings on demand; see `describe_estimate`."""
         from jointid.estimation.result.summary import describe_estimate
 
         return describe_estimate(self, details=details)

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jointid.common.document import Block, Document, Facts, Table, Text, common_facts
+from jointid.common.document import Block, Document, Facts, Table, common_facts
 from jointid.common.text import in_words, interval, number
 from jointid.estimation.result.agreement import Alone
-from jointid.estimation.result.verdict import OF_MECHANICS, Subject, moved_by_loop, told_bounds, trust_in_axis
+from jointid.estimation.result.verdict import (
+    OF_MECHANICS,
+    Reason,
+    Subject,
+    Trust,
+    moved_by_loop,
+    told_bounds,
+    trust_in_axis,
+)
 from jointid.models.robots.robot import Robot
 from jointid.simulation.start import INITIAL
 from jointid.uncertainty.covariance import INTERVAL
@@ -20,9 +27,6 @@ from jointid.uncertainty.identifiability import INSEPARABLE
 
 if TYPE_CHECKING:
     from jointid.estimation.result.estimate import Estimate, EstimatedParameter
-
-Column: TypeAlias = tuple[str, Sequence[str], bool]
-"""Header and cells of a column, and whether they are words."""
 
 _SHOWN_SHIFT = 0.5  # standard errors that a fault moves a parameter by at least to be marked beside it
 _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse stands in the details only
@@ -33,31 +37,45 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
 
     Args:
         estimate: of one record, of several, of a long log, or of a robot.
-        details: whether to show every answer with all its statements, effort and settings; else only the questions that
-            did not pass and can be acted on, a line each, that on the loop first.
+        details: whether to show every check with all its statements, effort and settings, that of the loop first; else
+            the tables and three lines: what to do next, what the record does not tell, and where the rest is.
     """
-    listed = list[tuple[str, bool | None, str]]()
-    for asked, found in groupby(
-        estimate.checks, lambda one: "mechanics" if one.code in OF_MECHANICS else str(one.name)
-    ):
-        first, *others = found
-        brief = first.brief + f" (and {len(others)} more)" * bool(others)
-        listed.append((asked, first.passed, "\n".join(one.words for one in (first, *others)) if details else brief))
-    passed = [good for _, good, _ in listed]
-    listed = [row for row in listed if details or not (row[1] or row[0] == Subject.WHITENESS)]
-    listed.sort(key=lambda row: row[0] not in (Subject.LOOP, "mechanics"))
-    notes = [] if passed and not details else [("note", note) for note in estimate.notes]
-    blocks = (
-        *_tables(estimate, details=details),
-        Facts(tuple((asked, said) for asked, _, said in listed), tuple(good for _, good, _ in listed)),
-        Facts((*(("warning", warning) for warning in estimate.warnings), *notes)),
-        Facts(tuple(_facts(estimate, passed, details=details))),
-    )
-    return Document(estimate.sentence, blocks)
+    tables = tuple(_tables(estimate, details=details))
+    if not details:
+        return Document(estimate.sentence, (*tables, Facts(tuple(_lines(estimate)))))
+    asked = [("mechanics" if one.code in OF_MECHANICS else str(one.name), one) for one in estimate.checks]
+    asked.sort(key=lambda row: row[0] not in (Subject.LOOP, "mechanics"))
+    said = {name: "\n".join(str(one) for other, one in asked if other == name) for name, _ in asked}
+    marks = {name: one.passed for name, one in reversed(asked)}
+    told = [("warning", one) for one in estimate.warnings] + [("note", one) for one in estimate.notes]
+    answers = Facts(tuple(said.items()), tuple(marks[name] for name in said))
+    return Document(estimate.sentence, (*tables, answers, Facts(tuple(told)), Facts(tuple(_facts(estimate)))))
+
+
+def _lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
+    """Yield the lines beside answer and tables: what to do, what the record does not tell, and where the rest is."""
+    trust, checks, reasons = estimate.answer.trust, estimate.checks, estimate.answer.trust.values["reasons"]
+    wrong = [one for one in checks if one.passed is False and (one.name == Subject.LOOP or one.code in reasons)]
+    wrong.sort(key=lambda one: one.name != Subject.LOOP)
+    unseen = (Trust.REFUSED, Reason.AT_BOUND, Reason.STIFFNESS_NOT_SHOWN, Reason.WIDE_INTERVAL, Reason.NO_INTERVAL)
+    if {trust.code, *reasons[:1]} & {*unseen}:
+        yield "next", "record a motion that shows it: jointid design plans one"
+    elif wrong:
+        remedy = wrong[0].values.get("remedy") or "put it right, as jointid diagnose says"
+        yield "next", f"{remedy}, and identify again"
+    else:
+        yield "next", "see whether it predicts another record: jointid validate"
+    of_trust = (Subject.SOLVER, Subject.FIT, Subject.WHITENESS)  # which limit no value
+    limits = [*(one.brief for one in checks if not one.passed and one.name not in of_trust), *estimate.warnings]
+    if limits := [one for one in limits if one not in estimate.sentence and not one.startswith("not checked")]:
+        yield "limits", limits[0] + f" (and {len(limits) - 1} more)" * bool(limits[1:])
+    passed = [*{one.name: one.passed for one in checks}.values()]
+    left = f"{100 * estimate.fit.filtered_error:.3g} % of the torque is left"
+    yield "details", f"{left}, {passed.count(True)} of {len(passed)} checks passed: --details"
 
 
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
-    """Yield tables: errors by axis, parameters, combinations, bounds, segments, sums."""
+    """Yield tables: errors by axis, parameters, combinations, bounds, segments."""
     fit, rows, parts = estimate.fit, estimate.rows, _parts_of(estimate, "segments")
     if axes := [*fit.axis_errors]:
         errors = [
@@ -67,10 +85,9 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         ]
         told = sorted((p for p in rows if p.name.endswith((".coulomb", ".stiffness"))), key=lambda p: p.name)
         last = {p.axis: f"{p} {p.unit}" for p in told}  # a joint's stiffness, if it has one
-        caption = "filtered torque that is left, of the record it was identified from"
-        shown = ("stiffness or friction", [last.get(a, "-") for a in axes], True)
-        trust = ("trust", [in_words(trust_in_axis(estimate, a)) for a in axes], True)
-        yield _table(caption, ("joint", axes, True), *errors, shown, trust)
+        shown = [("stiffness or friction", [last.get(a, "-") for a in axes], True)]
+        shown.append(("trust", [in_words(trust_in_axis(estimate, a)) for a in axes], True))
+        yield _table("share of the filtered torque that is left", ("joint", axes, True), *errors, *shown)
     yield parameters_table(estimate, details=details)
     if known := [] if estimate.known is None else estimate.known.physical:
         each = [interval(one.value, INTERVAL * math.hypot(one.std, one.lack_of_fit)) for one in known]
@@ -98,20 +115,16 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
             *((f"{p.symbol} {p.unit}", [one.get(p.name, "-") for one in alone], False) for p in own),
             ("error %", [f"{100 * one.filtered_error:.2f}" for one in parts], False),
         )
-    # A base parameter has the name of a sum; what has the name of a joint's number and is a sum always says so.
-    if sums := [p for p in rows if p.formula not in ("", p.symbol) and (details or p.name != p.symbol)]:
-        yield Text("Sums that the parameters stand for", "heading")
-        yield Text("\n".join(f"{p.name}: {p.formula}" for p in sums), "list")
 
 
-def _table(caption: str, *columns: Column) -> Table:
-    """Return the table of some columns."""
+def _table(caption: str, *columns: tuple[str, Sequence[str], bool]) -> Table:
+    """Return the table of some columns: header, cells, and whether these are words."""
     header, cells, words = zip(*columns, strict=True)
     return Table(header, tuple(zip(*cells, strict=True)), caption, tuple(i for i, word in enumerate(words) if word))
 
 
-def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) -> Iterator[tuple[str, str]]:
-    """Yield facts: fit, passed questions, method, data and side of values."""
+def _facts(estimate: Estimate) -> Iterator[tuple[str, str]]:
+    """Yield facts: fit, effort, method, data and side of values."""
     fit, data, settings, system = estimate.fit, estimate.data, estimate.settings, estimate.settings.system
     if not fit.axis_errors:
         raw = f"{100 * fit.relative_error:.4f} % raw, " if math.isfinite(fit.relative_error) else ""
@@ -120,11 +133,8 @@ def _facts(estimate: Estimate, passed: Sequence[bool | None], *, details: bool) 
         still = f", {windows.still} without motion left out" if windows.still else ""
         each = f"{windows.count} of {windows.length:g} s, and {windows.settling:g} s at either end{still}"
         yield "windows", f"{each}; {number(windows.duration / 3600, 3)} h"
-    if details:
-        passes = f", {fit.passes} times over the whole" if fit.passes else ""
-        yield "effort", f"{fit.simulations} simulations{passes}"
-    if passed:
-        yield "checks", f"{passed.count(True)} of {len(passed)} passed"
+    passes = f", {fit.passes} times over the whole" if fit.passes else ""
+    yield "effort", f"{fit.simulations} simulations{passes}"
     if isinstance(system, Robot):
         yield "method", f"{system.name}, {settings.variant}"
     else:
@@ -141,13 +151,10 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
         details: whether to show symbols, the state at the first sample, and insignificant values of a robot.
         truth: true values by name, others are not shown.
     """
-    said, hidden = remarks(estimate), 0
-    if truth is not None:
-        rows = [p for p in estimate.rows if p.name in truth]
-    else:
-        rows = [p for p in estimate.rows if _is_listed(p, details=details)]
-        hidden = sum(bool(p.formula) for p in estimate.rows) - sum(bool(p.formula) for p in rows)
-    columns: list[Column] = [
+    said = remarks(estimate)
+    rows = [p for p in estimate.rows if (_is_listed(p, details=details) if truth is None else p.name in truth)]
+    hidden = sum(bool(p.formula) for p in estimate.rows) - sum(bool(p.formula) for p in rows)
+    columns = [
         ("parameter", [in_words(p.name) for p in rows], True),
         ("value ± 2 sigma", [str(p) for p in rows], False),
         ("unit", [p.unit for p in rows], True),
@@ -162,8 +169,10 @@ def parameters_table(estimate: Estimate, *, details: bool = True, truth: Mapping
     if any(p.name in said for p in rows):
         columns.append(("remark", [said.get(p.name, "") for p in rows], True))
     if details:
-        columns.append(("symbol", [p.symbol for p in rows], True))
-    return _table(f"{hidden} more are not significant in this record" if hidden else "", *columns)
+        columns.append(("symbol", [p.formula or p.symbol for p in rows], True))
+    gear = getattr(estimate.settings.system, "transmission", None)
+    caption = "" if gear is None else f"values are on the {gear.side} side"
+    return _table(f"{hidden} more are not significant in this record" if hidden else caption, *columns)
 
 
 def _parts_of(estimate: Estimate, of: str) -> tuple[Alone, ...]:
@@ -184,7 +193,11 @@ def remarks(estimate: Estimate) -> dict[str, str]:
     rows = {p.name: p for p in estimate.rows if p.value is not None}
     moved = {name: sum(by) for name, by in moved_by_loop(estimate).items() if name in rows}
     shown = {name: by for name, by in moved.items() if abs(by) > _SHOWN_SHIFT * (rows[name].stderr or 0.0)}
-    found = {name: [f"would change by {number(by, 3, '+')}"] for name, by in shown.items()}
+    # A base parameter has the name of a sum; what has the name of a joint's number and is a sum says so.
+    sums = (p for p in rows.values() if p.formula not in ("", p.symbol) and p.name != p.symbol)
+    found = {p.name: [f"stands for {p.formula}"] for p in sums}
+    for name, by in shown.items():
+        found.setdefault(name, []).append(f"would change by {number(by, 3, '+')}")
     for i, j in np.argwhere(np.abs(estimate.correlation) > INSEPARABLE):
         one, other = estimate.free[i], estimate.free[j]
         apart = i != j and not estimate.fit.axis_errors

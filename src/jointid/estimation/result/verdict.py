@@ -376,7 +376,7 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
     moved = [] if asked is None else _moved_out(estimate)
     if against:
         code, moved = Trust.NOT_YET, []
-        words = f"Do not rely on it yet: {'; '.join(one.brief for one in against[:2])}"
+        words = f"Do not rely on it yet: {against[0].brief}"
     elif asked is not None and asked.value is None:
         remedy = "Identify the joint as rigid, or record" if asked.name == "stiffness" else "Record"
         code, moved, against = Trust.REFUSED, [], [one for one in loop if one.passed is None]
