@@ -26,7 +26,7 @@ from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record
-from jointid.simulation.plant import Numbers
+from jointid.simulation.plant import OF_RECORD, Numbers
 from jointid.simulation.simulate import Outcome, Simulation
 from jointid.simulation.synthesis import simulate
 
@@ -224,7 +224,7 @@ def judge(seed: int, flexible: bool) -> Found | None:
     truth = fit.parameters.group(Numbers.of(made.loop.robot))
     free = np.array([one.lower < value for one, value in zip(fit.parameters.parameters, fit.values, strict=True)])
     free &= ~np.array([name.startswith(refused) for name in fit.parameters.names])
-    free &= ~np.array([place.of_record for place in fit.parameters.places])
+    free &= ~np.array([place.name in OF_RECORD for place in fit.parameters.places])
     std = np.maximum(fit.covariance.std, 1e-300)
     return Found(fit.converged, _left(made, fit), tuple(((fit.values - truth) / std)[free].tolist()))
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.models.controllers import Cascade
-from jointid.models.friction import FRICTIONS, Friction
+from jointid.models.friction import PARTS, Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.models.position_forces import PositionHarmonics
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.models.springs import SPRINGS, Spring
 from jointid.records.chunks import cut
 from jointid.records.record import Record
@@ -162,62 +162,58 @@ PIECES = ("stribeck", "three-piece", "backlash")
 """Laws in pieces."""
 
 
-def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
-    """The drive with a law that shows, and its values."""
-    joint = case.loop.joint
-    assert isinstance(joint, FlexibleJoint)
-    own = simulate(case.loop, prepare(case.loop, case.clean), case.truth)
-    assert own.load_position is not None
-    windup = float(np.max(np.abs(own.motor_position - own.load_position)))
-    travel, stiffness = float(np.ptp(own.motor_position)), case.truth["stiffness"]
+GRAVITIES = {"balanced": Gravity("constant", Counterbalance(rate=1.0)), "link": Gravity("link")}
+
+
+def with_law(case: Case, *laws: str) -> tuple[ClosedLoop, dict[str, float]]:
+    """The drive with laws that show, of friction, spring, ripple ("ripple", "load ripple") and gravity; its values."""
+    joint, truth = case.loop.joint, case.truth
+    own = simulate(case.loop, prepare(case.loop, case.clean), truth)
+    windup = 0.0 if own.load_position is None else float(np.max(np.abs(own.motor_position - own.load_position)))
+    travel, stiffness = float(np.ptp(own.motor_position)), truth.get("stiffness", 0.0)
     duration, fastest = own.torque.size * own.sample_time, float(np.max(np.abs(own.motor_velocity)))
-    more = {
-        "presliding": {"motor_presliding_distance": 3e-3 * travel, "load_presliding_distance": 2e-3 * travel},
-        "load-dependent": {"load_friction_per_torque": 0.15},
-        "presliding-load-dependent": {
-            "motor_presliding_distance": 3e-3 * travel, "load_presliding_distance": 2e-3 * travel,
-            "load_friction_per_torque": 0.15,
-        },
-        "drifting": {
-            "motor_viscous_drift": -0.4 * case.truth["motor_viscous"] / duration,
-            "load_viscous_drift": -0.4 * case.truth["load_viscous"] / duration,
-            "motor_coulomb_drift": -0.3 * case.truth["motor_coulomb"] / duration,
-            "load_coulomb_drift": -0.2 * case.truth["load_coulomb"] / duration,
-        },
-        "cubic": {"cubic_stiffness": 0.6 * stiffness / windup**2},
-        "hysteretic": {"hysteresis_stiffness": 0.5 * stiffness, "hysteresis_torque": 0.1 * stiffness * windup},
-        "elastic-load": {
-            "swinging_share": 0.4, "swinging_stiffness": 2.5 * stiffness, "swinging_damping": case.truth["damping"]
-        },
-        "stribeck": {f"{side}_stribeck_force": 0.4 * case.truth[f"{side}_coulomb"] for side in ("motor", "load")}
-        | {f"{side}_stribeck_speed": 0.05 * fastest for side in ("motor", "load")},
-        "three-piece": {
-            "stiffness": 0.6 * stiffness, "stiffness_2": stiffness, "stiffness_3": 1.4 * stiffness,
-            "torque_1": 0.3 * stiffness * windup, "torque_2": 0.6 * stiffness * windup,
-        },
-        "backlash": {"gap": 0.5 * windup},
-        "ripple": {"harmonic_1_cosine": 0.1 * stiffness * windup, "harmonic_1_sine": -0.05 * stiffness * windup},
-    }[law]  # fmt: skip
-    if law == "ripple":
-        other = replace(joint, ripple=PositionHarmonics(0.1 * travel))
-    else:
-        other = replace(joint, friction=FRICTIONS[law]) if law in FRICTIONS else replace(joint, spring=SPRINGS[law])
-    return replace(case.loop, joint=other), case.truth | more
+    for law in laws:
+        if law in SPRINGS:
+            joint = replace(joint, spring=SPRINGS[law])  # type: ignore[arg-type]
+        elif law in GRAVITIES:
+            joint = replace(joint, gravity=GRAVITIES[law])
+        elif "ripple" in law:
+            joint = replace(joint, ripple=PositionHarmonics(0.1 * travel, side="load" if "load" in law else "motor"))
+        else:
+            joint = replace(joint, friction=Friction(law))
+    weight = 3.0 * truth[f"{joint.sides[0]}coulomb"]
+    known = truth | {
+        "cubic_stiffness": 0.6 * stiffness / (windup or 1.0) ** 2, "gap": 0.5 * windup,
+        "hysteresis_stiffness": 0.5 * stiffness, "hysteresis_torque": 0.1 * stiffness * windup, "swinging_share": 0.4,
+        "swinging_stiffness": 2.5 * stiffness, "swinging_damping": truth.get("damping", 0.0), "stiffness_2": stiffness,
+        "stiffness_3": 1.4 * stiffness, "torque_1": 0.3 * stiffness * windup, "torque_2": 0.6 * stiffness * windup,
+        "gravity_constant": weight, "gravity_cos": weight, "gravity_sin": 0.3 * weight,
+        "counterbalance_rate": 0.3 * stiffness,
+    }  # fmt: skip
+    known["stiffness"] = (0.6 if {"two-piece", "three-piece"} & {*laws} else 1.0) * stiffness
+    for side in joint.sides:
+        viscous, coulomb = (truth[f"{side}{part}"] for part in PARTS)
+        less = side == "load_"
+        more = {
+            "stribeck_force": 0.4 * coulomb, "stribeck_speed": 0.05 * fastest, "friction_per_torque": 0.15,
+            "presliding_distance": (2e-3 if less else 3e-3) * travel, "viscous_drift": -0.4 * viscous / duration,
+            "coulomb_drift": (-0.2 if less else -0.3) * coulomb / duration, "viscous_forwards": 1.1 * viscous,
+            "viscous_backwards": 0.8 * viscous, "coulomb_forwards": 1.2 * coulomb, "coulomb_backwards": 0.9 * coulomb,
+        }  # fmt: skip
+        known |= {f"{side}{name}": value for name, value in more.items()}
+    for prefix in ("", "load_"):
+        ripple = 0.1 * (stiffness * windup or weight)
+        known |= {f"{prefix}harmonic_1_cosine": ripple, f"{prefix}harmonic_1_sine": -0.5 * ripple}
+    return replace(case.loop, joint=joint), {p.name: known[p.name] for p in joint.parameters}
 
 
-RISES = {"stribeck_force": 0.4, "stribeck_speed": 0.05}  # of the Coulomb friction, and of the largest speed
-FALLS = {"stribeck_force": -0.4, "stribeck_speed": 0.05}
+RISES, FALLS = 1.0, -1.0  # of friction towards standstill
 
 
-def slow(case: Case, shares: dict[str, float]) -> tuple[ClosedLoop, dict[str, float]]:
+def slow(case: Case, rises: float) -> tuple[ClosedLoop, dict[str, float]]:
     """The drive with another friction towards standstill."""
-    joint = case.loop.joint
-    own = simulate(case.loop, prepare(case.loop, case.clean), case.truth)
-    values = dict(case.truth)
-    for prefix in ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",):
-        values[f"{prefix}stribeck_force"] = shares["stribeck_force"] * values[f"{prefix}coulomb"]
-        values[f"{prefix}stribeck_speed"] = shares["stribeck_speed"] * float(np.max(np.abs(own.motor_velocity)))
-    return replace(case.loop, joint=replace(joint, friction=Friction("stribeck"))), values
+    loop, values = with_law(case, "stribeck")
+    return loop, {name: rises * value if "stribeck_force" in name else value for name, value in values.items()}
 
 
 def rigid(case: Case) -> Case:

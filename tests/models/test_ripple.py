@@ -9,7 +9,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
-from jointid.models.position_forces import Gravity, PositionHarmonics
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.models.springs import Spring
 from jointid.paper.twin import TABLE_2
 from jointid.planning.joints import _holding_torque
@@ -87,6 +87,13 @@ def test_modes_and_response_of_an_elastic_load_are_those_of_three_masses() -> No
     none = frequency_response(joint, TABLE_2 | SWINGS | {"swinging_share": 0.0}, hertz)
     np.testing.assert_allclose(none, rigid_part)
     assert frequency_response(joint, values, hertz)[1].real > 20 * rigid_part[1].real  # a peak, in phase
+
+
+def test_a_counterbalance_is_a_spring_to_the_ground_in_the_response() -> None:
+    joint = RigidJoint("revolute", gravity=Gravity("constant", Counterbalance(rate=-800.0)))
+    values, s = RIGID | {"gravity_constant": 5.0, "counterbalance_rate": -800.0}, 2j * np.pi * np.array([0.1, 3.0])
+    found = frequency_response(joint, values, np.abs(s) / (2 * np.pi), "motor_position")
+    np.testing.assert_allclose(found, 1.0 / (100.0 * s**2 + 200.0 * s + 800.0))
 
 
 def test_an_elastic_load_begins_its_search_as_stiff_as_the_linear_spring() -> None:

@@ -9,15 +9,13 @@ from jointid.common.arrays import FloatArray
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Counterbalance, Gravity
+from jointid.paper.twin import TABLE_2
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, integrate, motion_of, pass_on
 from tests.simulation.reference import simulate
 
 T = 1e-3
-SLIDER = {
-    "motor_inertia": 70.2, "motor_viscous": 92.0, "motor_coulomb": 10.0, "stiffness": 8e5, "damping": 126.0,
-    "load_inertia": 34.8, "load_viscous": 110.0, "load_coulomb": 10.4, "offset": -3.16,
-}  # fmt: skip
+SLIDER = dict(TABLE_2)
 JOINT = FlexibleJoint("prismatic")
 
 

@@ -8,14 +8,13 @@ import pytest
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
 from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.simulation.plant import Numbers
 from jointid.simulation.simulate import Outcome, Simulation
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
-from tests.plants import LAWS, PIECES, Case, prismatic, rotary, with_law
+from tests.plants import LAWS, PIECES, prismatic, rotary, with_law
 from tests.simulation.reference import of_loop
 
 _PERIODS = 100
@@ -78,22 +77,12 @@ def test_joints_of_straight_lines_are_exact(seed: int, way: str) -> None:
         assert found.at_limit > 0.01 or "limited" not in way
 
 
-def with_any(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
-    """Return a drive with a law that shows, or two."""
-    if law == "balanced":
-        rate = 0.3 * case.truth["stiffness"]
-        joint = replace(case.loop.joint, gravity=Gravity("constant", Counterbalance(rate=rate)))
-        weight = 3.0 * case.truth["motor_coulomb"]
-        return replace(case.loop, joint=joint), case.truth | {"gravity_constant": weight, "counterbalance_rate": rate}
-    return with_law(case, law)
-
-
 @pytest.mark.parametrize("way", ["plain", pytest.param("late by periods", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [*LAWS, *PIECES, "balanced"])
 def test_every_other_law_is_as_near_as_is_said(law: str, way: str) -> None:
     """Some 1e-5 of the torque's peak in steps as they are; half of them leave a sixteenth."""
     case = prismatic(1)
-    loop, values = with_any(case, law)
+    loop, values = with_law(case, law)
     record = window(case.clean)
     loop = controlled(loop, record, values, way)
     (usual, coarse, fine), found, _ = errors(loop, prepare(loop, record), values, None, None, 2, 4)

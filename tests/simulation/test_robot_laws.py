@@ -1,15 +1,18 @@
-"""Every law of friction and of a spring on a robot's axis: a robot of one joint is that joint, derivatives included."""
+"""Every law of a joint on a robot's axis, alone and combined: a robot of one is that joint, derivatives included."""
 
 import numpy as np
 import pytest
+from numba import typeof
 
 from jointid.models.controllers import PD
-from jointid.models.friction import FRICTIONS
+from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.position_forces import Gravity
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
+from jointid.simulation.kernels import engine
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, Place, robot_with
 from jointid.simulation.simulate import Outcome, run_loop
@@ -31,15 +34,24 @@ LOAD = {
 BETWEEN = {
     "stiffness": 900.0, "damping": 1.5, "gap": 0.004, "stiffness_2": 1500.0, "stiffness_3": 2500.0, "torque_1": 3.0,
     "torque_2": 6.0, "cubic_stiffness": 4e6, "hysteresis_stiffness": 300.0, "hysteresis_torque": 1.0, "offset": 0.2,
+    "gravity_cos": 9.81 * 0.5, "gravity_sin": -9.81 * 0.2,
 }  # fmt: skip
 
 RIGID = [RigidJoint("revolute", law) for law in FRICTIONS.values()]
 FLEXIBLE = [FlexibleJoint("revolute", law) for law in FRICTIONS.values()]
 SPRUNG = [FlexibleJoint("revolute", spring=law) for law in SPRINGS.values() if law.name != "elastic-load"]
+HANGING = [make("revolute", gravity=Gravity("link")) for make in (RigidJoint, FlexibleJoint)]
+COMBINED = [RigidJoint("revolute", Friction("asymmetric-presliding"))] + [
+    FlexibleJoint("revolute", Friction(friction), spring=SPRINGS[spring])
+    for friction, spring in (
+        ("asymmetric-presliding-drifting-load-dependent", "cubic"), ("asymmetric-stribeck-drifting", "hysteretic"),
+        ("stribeck-load-dependent", "backlash"), ("asymmetric-drifting", "three-piece"),
+    )
+]  # fmt: skip
 JOINTS = pytest.mark.parametrize(
     "joint",
-    [*RIGID, *FLEXIBLE, *SPRUNG[1:]],
-    ids=lambda joint: f"{joint.model} {joint.friction.name} {joint.laws[-1].name}",
+    [*RIGID, *FLEXIBLE, *SPRUNG[1:], *HANGING, *COMBINED],
+    ids=lambda joint: f"{joint.model} {joint.friction.name} {joint.laws[-1].name}{' hanging' * bool(joint.gravity)}",
 )
 
 
@@ -52,17 +64,16 @@ def values_of(joint: Joint) -> dict[str, float]:
 
 
 def robot_of(joint: Joint) -> Robot:
-    """Return a joint as a robot of one, about its link's principal axis and without gravity."""
+    """Return a joint as a robot of one, about its link's principal axis, with the weight of one that has gravity."""
     values = values_of(joint)
-    body = np.zeros(10)
-    body[[0, 9]] = 1.0, LINK
+    body = np.array([1.0, 0.5, 0.2, *[0.0] * 6, LINK])
     spring = None
     if isinstance(joint, FlexibleJoint):
         spring = JointSpring(values["stiffness"], values["damping"], law=joint.spring)
     own = {"motor_inertia", "load_inertia", "inertia", "offset", "stiffness", "damping"}
-    numbers = {name: value for name, value in values.items() if name not in own}
+    numbers = {name: x for name, x in values.items() if name not in own and not name.startswith("gravity")}
     axis = RobotJoint("one", MOTOR["inertia"], offset=0.2, spring=spring, friction=joint.friction, numbers=numbers)
-    return Robot((Link("arm", -1, inertial=body),), (axis,), gravity=np.zeros(3))
+    return Robot((Link("arm", -1, inertial=body),), (axis,), gravity=np.array([0.0, -9.81 * bool(joint.gravity), 0.0]))
 
 
 def reference() -> Record:
@@ -77,6 +88,9 @@ def reference() -> Record:
 def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     """To the error of the joint's own steps; where its motion is exact, to the order of the robot's integrator."""
     record, loop = reference(), RobotLoop(robot_of(joint), (LAW,))
+    numbers = Numbers.of(loop.robot)
+    again = Numbers.of(robot_with(loop.robot, numbers))
+    assert (again.values[0], again.joints) == (pytest.approx(numbers.values[0], abs=1e-15), numbers.joints)
     runs = {steps: simulate(loop, (record,), steps=steps) for steps in (4, 8)}
     alone = ClosedLoop(joint, LAW)
     begun = Initial(float(runs[8].motor_position[0, 0]), 0.0, 0.0)
@@ -95,7 +109,8 @@ def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None
     """Of order 2 in the pieces of the tape: by every number of every law."""
     record, robot = reference(), robot_of(joint)
     driven, numbers = prepare(RobotLoop(robot, (LAW,)), (record,)), Numbers.of(robot)
-    places = [Place(0, "Izz"), *(Place(0, name) for name in numbers.values[0] if name != "load_offset")]
+    weight = ("mx", "my") if joint.gravity else ()
+    places = [Place(0, name) for name in ("Izz", *weight, *numbers.values[0]) if name != "load_offset"]
     found = differentiate(run_loop(driven, numbers, keep=True, steps=4), places)[0][0]
     for column, place in enumerate(places):
         value = numbers[place]
@@ -108,10 +123,28 @@ def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None
         assert np.linalg.norm(found[:, column] - expected) < 1e-3 * np.linalg.norm(expected), place
 
 
-@JOINTS
-def test_a_robot_has_again_what_its_numbers_say(joint: Joint) -> None:
-    robot = robot_of(joint)
-    numbers = Numbers.of(robot)
-    again = Numbers.of(robot_with(robot, numbers))
-    assert again.values[0] == pytest.approx(numbers.values[0], abs=1e-15)
-    assert again.joints == numbers.joints
+def test_a_full_tape_grows_to_that_of_a_run_in_room_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    joint, record = FlexibleJoint("revolute", FRICTIONS["presliding"]), reference()
+    loop, alone = RobotLoop(robot_of(joint), (LAW,)), ClosedLoop(joint, LAW)
+    runs = [(prepare(loop, (record,)), Numbers.of(loop.robot))]
+    runs.append((prepare(alone, record), Numbers.of_joint(joint, values_of(joint))))
+    whole = [run_loop(*one, keep=True) for one in runs]
+    monkeypatch.setattr("jointid.simulation.simulate._MORE", 0)
+    monkeypatch.setattr("jointid.simulation.simulate._TAPED", 1)
+    for one, expected in zip(runs, whole, strict=True):
+        found = run_loop(*one, keep=True)
+        assert (found.outcome, len(found.tape)) == (Outcome.FINISHED, expected.counts[1])
+        assert np.array_equal(found.tape, expected.tape)
+
+
+def test_lines_smooth_laws_and_robots_are_compiled_each_when_it_is_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel is compiled once for each signature: that of lines has no smooth law, whose state is a tuple."""
+    seen, own, record = list[tuple[object, ...]](), engine.run, reference()
+    monkeypatch.setattr(engine, "run", lambda *given: seen.append(tuple(map(typeof, given))) or own(*given))
+    lines = [*RIGID[:2], *FLEXIBLE[:2], *SPRUNG[1:3]]
+    for joint in (*lines, RIGID[-1], FLEXIBLE[-1], *SPRUNG[4:]):
+        alone = ClosedLoop(joint, LAW)
+        run_loop(prepare(alone, record), Numbers.of_joint(joint, values_of(joint)))
+    run_loop(prepare(loop := RobotLoop(robot_of(RIGID[0]), (LAW,)), (record,)), Numbers.of(loop.robot))
+    kinds = list(dict.fromkeys(seen))
+    assert [seen.count(kind) for kind in kinds] == [len(lines), 1, 1 + len(SPRUNG[4:]), 1]

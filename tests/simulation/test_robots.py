@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointid.models.controllers import PD, PID
+from jointid.models.controllers import PD, PID, Controller
 from jointid.models.robots.robot import RobotLoop
+from jointid.records.chunks import cut
 from jointid.records.record import Channel, Record
 from jointid.simulation.kernels import FREE, LENGTH, STATE
 from jointid.simulation.loop_input import prepare
@@ -112,14 +113,19 @@ def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], wor
     return run
 
 
+APART = (1e-3, 3e-3), (4e-4, 1.3e-3)  # periods and delays of two controllers
+
+
+def apart(twin: Twin) -> tuple[Controller, ...]:
+    each = zip(twin.loop().controllers, *APART, strict=True)
+    return tuple(replace(law, period=period, delay=delay) for law, period, delay in each)  # type: ignore[type-var]
+
+
 @pytest.mark.slow
 def test_controllers_of_other_periods_and_delays() -> None:
     """The second controller acts every third period of the first, whose torque comes late; the log is slower still."""
     twin = two((None, 16.0))
-    laws = tuple(
-        replace(law, period=period, delay=delay)  # type: ignore[type-var]
-        for law, period, delay in zip(twin.loop().controllers, (1e-3, 3e-3), (4e-4, 1.3e-3), strict=True)
-    )
+    laws = apart(twin)
     records = faster(twin.records(6.0), 6.0)
     slow = [replace(one, reference=replace(one.reference, sample_time=1e-3)) for one in records if one.reference]
     run = held_against_the_reference(RobotLoop(twin.robot, laws), tuple(slow), 1e-4)
@@ -132,15 +138,11 @@ def test_controllers_of_other_periods_and_delays() -> None:
 
 def test_a_torque_begins_to_act_a_delay_after_its_controller_s_instant() -> None:
     """The log shows the torque that was put out last, which a slow controller did some samples before."""
-    twin, periods, delays = two(), (1e-3, 3e-3), (4e-4, 1.3e-3)
-    laws = tuple(
-        replace(law, period=period, delay=delay)  # type: ignore[type-var]
-        for law, period, delay in zip(twin.loop().controllers, periods, delays, strict=True)
-    )
-    clock = prepare(RobotLoop(twin.robot, laws), twin.records(0.1)).clock
+    twin = two()
+    clock = prepare(RobotLoop(twin.robot, apart(twin)), twin.records(0.1)).clock
     at = clock.sample_time * np.arange(clock.samples)
     begins = np.cumsum(clock.lengths) - clock.lengths
-    for begun, period, delay in zip(clock.torque_index, periods, delays, strict=True):
+    for begun, period, delay in zip(clock.torque_index, *APART, strict=True):
         step, part = np.divmod(begun, clock.lengths.size)
         expected = np.floor(at / period + 1e-6) * period + delay
         acts = step * np.sum(clock.lengths) + begins[part]
@@ -152,11 +154,7 @@ def test_a_torque_begins_to_act_a_delay_after_its_controller_s_instant() -> None
 def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
     """It moves on as its references do: another start is another motion for as long as the loop remembers."""
     whole = twin.records(6.0)
-    late = tuple(
-        replace(one, reference=replace(one.reference, values=one.reference.values[2500:2900]))
-        for one in whole
-        if one.reference
-    )
+    late = tuple(cut(one, 2500, 2900) for one in whole)
     run = held_against_the_reference(replace(twin.loop(), in_motion=True), late, 1e-4)
     assert np.min(np.abs(motion_at(run, np.zeros(1, np.int64)).velocity)) > 0.05
     uncut = simulate(twin.loop(), whole).torque[2500:2900]

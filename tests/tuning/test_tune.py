@@ -18,6 +18,7 @@ from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.controllers.laws import StateSpaceController
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
 from jointid.records.chunks import cut
@@ -32,6 +33,7 @@ from tests.estimates import amended, identify
 PERIOD = 1e-3
 REFERENCE = trapezoids((0.05, 0.12), 0.8, 0.2, PERIOD, duration=6.0)
 RIGID = {"inertia": 100.0, "viscous": 150.0, "coulomb": 20.0, "offset": 3.0}
+RIGID |= {"gravity_constant": 3.0, "counterbalance_rate": 500.0}  # where a joint has one
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +170,13 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
     assert found["viscous_feedforward"].after == pytest.approx(150.0, rel=0.1)
     assert found["coulomb_feedforward"].after == pytest.approx(25.0, rel=0.1)
     assert found["constant_feedforward"].after == pytest.approx(5.0, rel=0.2)
+
+
+def test_a_spring_that_carries_the_load_is_in_the_margins_and_not_in_the_feed_forward() -> None:
+    law, balanced = Cascade(position_gain=20.0, velocity_gain=2000.0), Gravity("constant", Counterbalance(rate=500.0))
+    found = tune(rigid(law, RigidJoint("prismatic", gravity=balanced)))
+    assert [note.partition(" leave")[0] for note in found.notes] == ["margins and feed-forward", "feed-forward"]
+    assert not any("turns" in note for note in found.notes)
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:

@@ -439,9 +439,9 @@ def require_friction(robot: Robot, stated: Mapping[str, Parameter]) -> None:
     if not stated:
         return
     own, beside = robot_parameters(robot), [p.name for p, _ in _of_laws(robot, Numbers.of(robot))]
-    lines = ("viscous", "viscous_forwards", "viscous_backwards", "coulomb", "stribeck_force", "offset")
+    lines = ("viscous", "coulomb", "stribeck_force", "offset")
     pairs = zip(own.names, own.places, strict=True)
-    known = [name for name, place in pairs if name in beside or place.own in lines]
+    known = [name for name, place in pairs if name in beside or place.own.startswith(lines)]
     for name, one in stated.items():
         if name not in known or not (name in beside or not one.free or one.start is None):
             raise MethodError(
@@ -467,13 +467,13 @@ def _order_parameters(numbers: Numbers, offsets: bool, rising: bool) -> tuple[Pl
         found = (Place(i, f"{side}{name}") for i, side in numbers.sides for name in names)
         return [place for place in found if place in numbers]
 
-    friction = of_masses("viscous", "viscous_forwards", "viscous_backwards") + of_masses("coulomb")
+    friction = [p for one in ("viscous", "coulomb") for p in of_masses(one, f"{one}_forwards", f"{one}_backwards")]
     if rising:
         rises = {place for place, _ in law_places(numbers)}
         friction += [place for place in of_masses("stribeck_force") if place in rises]
-    # A Coulomb friction of two sizes is one of both directions and an offset.
-    two = [offsets or joint.friction.two_ways for joint in numbers.joints]
-    constant = [Place(i, "offset") for i, kept in enumerate(two) if kept]
+    # A Coulomb friction of two sizes is one of both directions and an offset, where it does not wind up.
+    two = {place.axis for place in of_masses("coulomb") if numbers.joints[place.axis].friction.two_ways}
+    constant = [Place(i, "offset") for i in range(len(numbers.joints)) if offsets or i in two]
     flexible = np.flatnonzero(numbers.flexible).tolist()
     springs = [Place(i, name) for name in ("stiffness", "damping") for i in flexible]
     rotors = [Place(i, f"{joint.sides[0]}inertia") for i, joint in enumerate(numbers.joints)]

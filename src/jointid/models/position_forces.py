@@ -102,8 +102,7 @@ class Gravity:
 
     def require(self, kind: Kind, friction: Friction) -> None:
         """Refuse a kind or friction that cannot have this load, by `MethodError`."""
-        turning = self.load == "link" or self.counterbalance.cos != 0.0 or self.counterbalance.sin != 0.0
-        if kind == "prismatic" and turning:
+        if kind == "prismatic" and self.turns:
             raise MethodError(
                 "A prismatic joint does not turn its load, so nothing of its gravity follows a cosine or a sine; use "
                 'load = "constant", or a revolute joint.'
@@ -117,7 +116,12 @@ class Gravity:
     @property
     def varies(self) -> bool:
         """True if any part of it depends on the position."""
-        return self.load == "link" or any((self.counterbalance.cos, self.counterbalance.sin, self.counterbalance.rate))
+        return self.turns or self.counterbalance.rate != 0.0
+
+    @property
+    def turns(self) -> bool:
+        """True if any part of it follows the angle of the link."""
+        return self.load == "link" or any((self.counterbalance.cos, self.counterbalance.sin))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -26,7 +26,7 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
 from jointid.simulation.kernels import LANES, IntArray, Seeds
 from jointid.simulation.loop_input import AxisInput, acting, along, averages, to_log
-from jointid.simulation.plant import DELAY, Numbers, Place, names_of
+from jointid.simulation.plant import DELAY, OF_RECORD, Numbers, Place, names_of
 from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
 from jointid.simulation.start import INITIAL, start_slopes
 
@@ -258,7 +258,7 @@ def _acts(place: Place, row: int, of_axes: list[list[int]], carried: NDArray[np.
     """True of a parameter that is in the equation of a mass."""
     if place.of_link:
         return row < len(carried) and bool(carried[row, place.axis])
-    if place.of_record or row not in of_axes[place.axis]:
+    if place.name in OF_RECORD or row not in of_axes[place.axis]:
         return False
     behind, own = place.side == "load_" or place.name.startswith(("gravity_", "counterbalance_")), of_axes[place.axis]
     return place.name in ("stiffness", "damping") or row == own[min(int(behind), len(own) - 1)]

@@ -77,9 +77,8 @@ class Clock:
         whole = np.floor(late + SNAP)
         within = np.where(late - whole < SNAP, 0.0, late - whole)
         cuts = [j / shows for j in range(shows)]
-        for cut in within:
-            if all(abs(cut - one) > SNAP for one in cuts):
-                cuts.append(float(cut))
+        for cut in within.tolist():
+            cuts += [cut] if all(abs(cut - one) > SNAP for one in cuts) else []
         cuts.sort()
         lengths, parts = np.diff([*cuts, 1.0]) * step, len(cuts)
         lags = (whole[:, np.newaxis] + (np.array(cuts) < within[:, np.newaxis] - SNAP)).astype(np.int64)

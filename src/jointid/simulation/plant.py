@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
-from jointid.models.friction import BESIDE, Friction
+from jointid.models.friction import BESIDE, PARTS, Friction
 from jointid.models.joints import Joint, RigidJoint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot, RobotJoint
@@ -64,11 +64,6 @@ class Place(NamedTuple):
         return SYMBOLS.index(self.name)
 
     @property
-    def of_record(self) -> bool:
-        """True if it belongs to the record or drives, not the robot."""
-        return self.name in OF_RECORD
-
-    @property
     def side(self) -> str:
         """Prefix of the name: "motor_", "load_", or "" if on neither side."""
         side, _, own = self.name.partition("_")
@@ -87,8 +82,8 @@ class Numbers:
     Attributes:
         joints: (n,) with their laws.
         values: (n,) numbers of each by name. In a robot the Coulomb friction of a joint's side is the mean of both
-            directions, and half of their difference is part of "offset" or "load_offset"; a link moves behind the
-            spring. Numbers of a record, or of drives, may be among them: see `OF_RECORD`; others are not read.
+            directions, and half of their difference is part of "offset" or "load_offset", unless it winds up; a
+            link moves behind the spring. Others are not read, but for numbers of a record or drives, see `OF_RECORD`.
         inertials: (n, 10) of a robot's links; (0, 10) of a joint.
         heavy: inertia of motors without friction that follow a prescribed motion; 0 for the real motors.
         rows: masses per axis: motor, load, swinging part; robots' links precede flexible rotors.
@@ -346,7 +341,8 @@ def _values_of(joint: RobotJoint) -> dict[str, float]:
     """Numbers of a robot's joint; one viscous friction per link by default."""
     values, model = joint.values, joint.model
     found = {name: values[name] for name in names_of(model) if name != "load_inertia"}
-    for side in model.sides if model.friction.two_ways else ():
+    winds = any(term.winds for term in model.friction.terms())  # what an offset does not
+    for side in model.sides if model.friction.two_ways and not winds else ():
         forwards, backwards = (found.pop(f"{side}coulomb_{way}") for way in _WAYS)
         offset = "load_offset" if side == "load_" else "offset"
         found[f"{side}coulomb"] = 0.5 * (forwards + backwards)
@@ -362,9 +358,9 @@ def values_of_joint(numbers: Numbers, axis: int) -> dict[str, float]:
     for side in numbers.joints[axis].sides:
         shift = found.get("load_offset", 0.0) if side == "load_" else 0.0
         for way, sign in _WAYS.items():
-            found[f"{side}coulomb_{way}"] = found[f"{side}coulomb"] + sign * shift
-            found.setdefault(f"{side}viscous_{way}", found.get(f"{side}viscous", 0.0))
-        found.setdefault(f"{side}viscous", found[f"{side}viscous_forwards"])
+            for name, by in (("viscous", 0.0), ("coulomb", sign * shift)):
+                found.setdefault(f"{side}{name}_{way}", found.get(f"{side}{name}", 0.0) + by)
+        found |= {f"{side}{name}": found.get(f"{side}{name}", found[f"{side}{name}_forwards"]) for name in PARTS}
     return found
 
 
@@ -387,7 +383,7 @@ def law_places(numbers: Numbers) -> Iterator[tuple[Place, Parameter]]:
 def robot_with(robot: Robot, numbers: Numbers) -> Robot:
     """Return a robot with other numbers; names, places, gravity and coupling stay.
 
-    Asymmetric Coulomb friction becomes its mean and an offset.
+    Asymmetric Coulomb friction that does not wind up becomes its mean and an offset.
 
     Raises:
         MethodError: a rotor's inertia, with what is grouped with it, is negative.
@@ -395,7 +391,7 @@ def robot_with(robot: Robot, numbers: Numbers) -> Robot:
     joints = []
     for i, joint in enumerate(robot.joints):
         values, motor = values_of_joint(numbers, i), numbers.joints[i].sides[0]
-        of_link = (f"load_viscous_{way}" for way in _WAYS)
+        of_link = (f"load_{name}_{way}" for name in PARTS for way in _WAYS)
         names = [*joint.numbers, *(name for name in of_link if name in numbers.values[i])]
         stated = joint.numbers.keys() & {"stribeck_force", "motor_stribeck_force"}
         own: dict[str, Any] = {name: values[f"{motor}{name}"] for name in ("viscous", "coulomb")}
@@ -409,7 +405,7 @@ def robot_with(robot: Robot, numbers: Numbers) -> Robot:
                 rotor_inertia=values[f"{motor}inertia"],
                 offset=values["offset"],
                 viscous_backwards=values[f"{motor}viscous_backwards"] if joint.law.two_ways else None,
-                coulomb_backwards=None,
+                coulomb_backwards=numbers.values[i].get(f"{motor}coulomb_backwards"),
                 stribeck_force=0.0 if stated else values.get(f"{motor}stribeck_force", 0.0),
                 stribeck_speed=values.get(f"{motor}stribeck_speed") or None,
                 spring=joint.spring and replace(joint.spring, **behind),

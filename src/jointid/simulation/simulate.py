@@ -27,11 +27,10 @@ from jointid.simulation.start import Initial, Start, begin
 
 FINE, COARSE = 0.5, 1.0
 """Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
-TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}
-"""Unit of a torque by the unit of the position it moves."""
 
 STEPS = 64
 """Of a robot per part of a period, at most that are chosen."""
+_TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}  # unit by that of the position
 _POSES = 5  # along the reference, at which the fastest motion is searched for
 _MORE, _TAPED = 2, 1000  # rows of a tape per step and part, and beside these
 
@@ -355,7 +354,7 @@ class Simulation:
                 return Channel(values if alone else values[:, j], unit, self.sample_time, timing, "simulated")
 
             load = None if self.load_position is None or not alone else channel(self.load_position)
-            torque = channel(self.torque, force or TORQUE_OF[unit], timing)
+            torque = channel(self.torque, force or _TORQUE_OF[unit], timing)
             moved = channel(self.motor_position)
             made.append(replace(record, torque=torque, motor_position=moved, load_position=load))
         return tuple(made)

@@ -47,13 +47,16 @@ def simulate(
 
     Raises:
         RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
-        MethodError: there is not one record for each joint of a robot, or controllers or logs share no clock.
+        MethodError: a robot has an initial state or not one record for each joint, or controllers or logs share no
+            clock.
     """
     experiment = record if isinstance(record, LoopInput) else prepare(loop, record)
     if isinstance(loop, ClosedLoop):
         numbers = Numbers.of_joint(loop.joint, cast("Mapping[str, float]", values or {}))
     else:
         numbers = Numbers.of(loop.robot) if values is None else cast("Numbers", values)
+        if initial is not None:
+            raise MethodError("A robot begins at rest or as its references move; received `initial`: leave it out.")
     return Simulation.of(run_loop(experiment, numbers, initial, keep=True, steps=steps))
 
 
@@ -93,8 +96,8 @@ def simulated_record(
         name: of the record.
 
     Raises:
-        MethodError: the loop cannot be simulated with these values, or the disturbance is not as long as the reference;
-            the sentence says which.
+        MethodError: the loop cannot be simulated with these values, or a disturbance or noise is not as long as the
+            reference; the sentence says which.
     """
     kind = loop.joint.kind
     position, force = POSITION_UNIT[kind], loop.joint.force_unit
@@ -102,29 +105,31 @@ def simulated_record(
     def channel(array: ArrayLike, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
         return Channel(np.asarray(array, dtype=np.float64), unit, sample_time, timing, name)
 
-    given = None if injected is None else channel(injected, force, Timing.HELD)
     driven = Record(
         torque=channel(np.zeros(np.size(reference)), force, Timing.HELD),
         tap=Tap(tap),
         reference=channel(reference, position),
         reference_velocity=None if reference_velocity is None else channel(reference_velocity, f"{position}/s"),
-        injected=None if given is None else Injection(given, InjectionPoint(at), in_torque),
+        injected=None
+        if injected is None
+        else Injection(channel(injected, force, Timing.HELD), InjectionPoint(at), in_torque),
         name=name,
     )
     experiment = forced = prepare(loop, driven)
     axis = experiment.axis
-    if disturbance is not None:
-        if np.size(disturbance) != np.size(reference):
+    for what, signal in (("disturbance", disturbance), ("torque_noise", torque_noise)):
+        if signal is not None and np.size(signal) != np.size(reference):
             raise MethodError(
-                f"A disturbance has a value for each sample of the reference, {np.size(reference)}; received "
-                f"{np.size(disturbance)}: give as many."
+                f"{what} has a value for each sample of the reference, {np.size(reference)}; received "
+                f"{np.size(signal)}: give as many."
             )
+    if disturbance is not None:
         extra = np.repeat(np.asarray(disturbance, dtype=np.float64), axis.clock.skips)
         forced = experiment.alone(axis.push(extra[:: axis.clock.shows][: axis.periods]))
     found = require_success(simulate(loop, forced, values, initial))
     # A force from outside is in no current of the motor, though it acts as an injected signal does.
     torque = found.torque - to_log(axis, forced.axis.shown - axis.shown)
-    torque = torque if torque_noise is None else torque + np.asarray(torque_noise, dtype=np.float64)
+    torque = torque if torque_noise is None else torque + np.asarray(torque_noise, dtype=np.float64)[: torque.size]
     moved, load = (
         position if position is None or not encoder_step else np.round(position / encoder_step) * encoder_step
         for position in (found.motor_position, found.load_position)

@@ -11,6 +11,7 @@ from operator import call
 
 import numpy as np
 
+from jointid.common.parameters import POSITION_UNIT
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -22,11 +23,11 @@ from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, names_of
 from jointid.simulation.simulate import run_loop
 
-_RIGID = RigidJoint("revolute")
-_AT_REST = Record(reference=Channel(np.zeros(10), "rad", 1e-3))
+RIGID = RigidJoint("revolute")
+_AT_REST = {unit: Record(reference=Channel(np.zeros(10), unit, 1e-3)) for unit in POSITION_UNIT.values()}
 
 
-def warm_up(joint: Joint = _RIGID, *, derivatives: bool = True) -> None:
+def warm_up(joint: Joint = RIGID, *, derivatives: bool = True) -> None:
     """Compile a joint's simulation (by default linear laws), or load the cache.
 
     Args:
@@ -36,7 +37,7 @@ def warm_up(joint: Joint = _RIGID, *, derivatives: bool = True) -> None:
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
     # With an offset it would leave the range of its reference, and there would be no derivatives.
     values = dict.fromkeys(names_of(joint), 0.5) | {"offset": 0.0}
-    run = run_loop(prepare(loop, _AT_REST), Numbers.of_joint(joint, values), keep=True)
+    run = run_loop(prepare(loop, _AT_REST[POSITION_UNIT[joint.kind]]), Numbers.of_joint(joint, values), keep=True)
     if derivatives:
         differentiate(run, run.numbers.not_zero())
 
@@ -50,7 +51,7 @@ def compile_robot() -> None:
     joints = RobotJoint("one", 0.1), RobotJoint("two", 0.1, spring=JointSpring(1e3, 1.0))
     robot = Robot(tuple(Link(f"link{i}", i - 1, inertial=body) for i in range(2)), joints)
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
-    run = run_loop(prepare(loop, (_AT_REST,) * 2), Numbers.of(robot), keep=True)
+    run = run_loop(prepare(loop, (_AT_REST["rad"],) * 2), Numbers.of(robot), keep=True)
     differentiate(run, run.numbers.not_zero())
     inverse_columns(robot, *np.zeros((3, 2, 2)))
 
@@ -59,7 +60,7 @@ def main() -> None:
     """Compile all kernels, in two processes."""
     winds, springs = Friction("presliding"), (Spring(), Spring("elastic-load"))
     flexible = (FlexibleJoint("revolute", friction=winds, spring=spring) for spring in springs)
-    joints: tuple[Joint, ...] = (_RIGID, RigidJoint("revolute", friction=winds), *flexible)
+    joints: tuple[Joint, ...] = (RIGID, RigidJoint("revolute", friction=winds), *flexible)
     with ProcessPoolExecutor(2) as pool:
         tuple(pool.map(call, (compile_robot, *(partial(warm_up, joint) for joint in joints))))
 

@@ -81,8 +81,7 @@ class Tuned(Documented):
         """Sentence: gains to set, and the margin nearest to its requirement."""
         present, asked = self.present.worst, self.settings
         gains = [f"{in_words(g.key)} from {number(g.before, 4)} to {number(g.after, 4)} {g.unit}" for g in self.gains]
-        if self.notch is not None:
-            gains.append(f"a notch at {number(self.notch.frequency, 3)} Hz")
+        gains += [f"a notch at {number(self.notch.frequency, 3)} Hz"] if self.notch is not None else []
         beware = f"Beware: {join(self.doubts)}. " if self.doubts else ""
         advice = f"{beware}Set {join(gains)}" if gains else f"{beware}No gains are proposed"
         if not present.stable:
@@ -91,9 +90,8 @@ class Tuned(Documented):
         name = min(required, key=lambda one: getattr(present, one) / required[one])
         unit, degree = (" degrees", math.degrees(1.0)) if name == "phase" else ("", 1.0)
         margin, least = (number(degree * one, 3) for one in (getattr(present, name), required[name]))
-        moved = f"is {margin}"
-        if self.proposed is not None:
-            moved = f"goes from {margin} to {number(degree * getattr(self.proposed.worst, name), 3)}"
+        after = self.proposed and number(degree * getattr(self.proposed.worst, name), 3)
+        moved = f"goes from {margin} to {after}" if after else f"is {margin}"
         return f"{advice}: in the worst case the {name} margin {moved}{unit} ({least} required)."
 
     def to_document(self, *, details: bool = False) -> Document:
@@ -245,10 +243,12 @@ def _take_notes(estimate: Estimate, present: LoopMargins) -> list[str]:
     joint = estimate.settings.joint
     left_out = {
         "the modes of a joint that is taken as rigid": joint.model == "rigid",
-        "gravity that turns with the link": joint.gravity is not None and joint.gravity.varies,
+        "gravity that turns with the link": joint.gravity is not None and joint.gravity.turns,
         "the ripple": joint.ripple is not None,
         joint.friction.adds or "friction towards standstill": not joint.friction.linear,
         "images of the slower of two rates": present.controller.law(estimate.data.sample_time).phases > 1,
     }
     missing = [what for what, is_there in left_out.items() if is_there]
-    return [f"margins and feed-forward leave out {join(missing)}"] if missing else []
+    rate = ["the counterbalance's rate"] * (joint.gravity is not None and joint.gravity.counterbalance.rate != 0.0)
+    said = {"margins and feed-forward leave out": missing, "feed-forward leaves out": rate}
+    return [f"{words} {join(what)}" for words, what in said.items() if what]

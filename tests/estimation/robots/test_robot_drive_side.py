@@ -13,7 +13,7 @@ from jointid.diagnostics.validation import Prediction
 from jointid.estimation.robots.didim import RobotFit, search_robot
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.plant import Numbers
+from jointid.simulation.plant import OF_RECORD, Numbers
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import axis_errors
@@ -63,7 +63,7 @@ def inside(found: RobotFit, twin: Twin) -> float:
     """Return the share of the robot's parameters whose truth is within two deviations."""
     parameters = found.parameters
     truth = parameters.group(Numbers.of(twin.robot))
-    mine = ~np.array([place.of_record for place in parameters.places])
+    mine = ~np.array([place.name in OF_RECORD for place in parameters.places])
     return float(np.mean(np.abs((found.values - truth) / found.covariance.std)[mine] < 2.0))
 
 

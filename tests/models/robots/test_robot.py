@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jointid.models.friction import Friction
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, RobotJoint
 from tests.models.robots.trees import chain
@@ -22,6 +23,10 @@ def test_a_joint_whose_spring_does_not_give_keeps_the_friction_behind_it() -> No
     stiff = joint.rigid
     assert (stiff.viscous, stiff.viscous_backwards, stiff.coulomb, stiff.coulomb_backwards) == (4.0, None, 2.5, 3.0)
     assert stiff.values["viscous_backwards"] == 4.0
+    numbers = {"motor_presliding_distance": 1e-3, "load_presliding_distance": 3e-3, "load_coulomb_backwards": 0.75}
+    laws = Friction("asymmetric-presliding"), {**numbers, "load_friction_per_torque": 0.1}
+    found = replace(joint, friction=Friction(f"{laws[0].name}-load-dependent"), numbers=laws[1]).rigid
+    assert found.numbers == {"coulomb_backwards": 3.25, "presliding_distance": 2e-3, "friction_per_torque": 0.1}
 
 
 def test_a_turned_robot_moves_as_the_robot_at_shifted_positions() -> None:

@@ -41,6 +41,7 @@ def campaign(
     from jointid.campaigns.report import CampaignReport
     from jointid.campaigns.run import dask_cluster, local_processes, open_store, run_cases
     from jointid.common.files import write_whole
+    from jointid.config import loads
     from jointid.output.report.sections import page
 
     if workers < 0:
@@ -57,7 +58,7 @@ def campaign(
     if asked.left_out:
         listener(asked.left_out)
     with open_store(kept, again=again) as store:
-        ready(listener)
+        ready(listener, loads(asked.cases[0].joint_file, changes=asked.cases[0].settings))
         made = run_cases(asked.cases, engine, store, progress=listener)
         rows = store.rows_of(case.content_hash for case in asked.cases)
     found = CampaignReport(asked.name, rows, false_alarm)

@@ -213,8 +213,7 @@ class Options:
         found = None if self.again else recall(place_of(file), file, key)
         if found is not None and not (checks and LATER in [one.values for one in found.checks]):
             return found
-        if file.robot is None:  # robots have another simulation
-            ready(progress)
+        ready(progress, file)
         if record is None:
             found = save(file.identify_together(self.records, progress))
         elif found is None or not apart:
@@ -344,15 +343,15 @@ def deliver(result: Documented, json: Path | None = None, *, details: bool = Fal
         write_whole(json, answers.dumps(answers.to_dict(result)))
 
 
-def ready(listener: Progress, *, derivatives: bool = True) -> None:
-    """Load the compiled simulation and its derivatives; report a long compilation."""
-    from jointid.simulation.warm_up import warm_up
+def ready(listener: Progress, file: File | None = None, *, derivatives: bool = True) -> None:
+    """Load the compiled simulation of a file's joint, by default of lines; report a long compilation."""
+    from jointid.simulation.warm_up import RIGID, warm_up
 
     said = "loading the simulation; the first time on a machine it is compiled, in some 30 s of processor time"
     timer = threading.Timer(_PATIENCE, listener, [said])
-    timer.daemon = True
     timer.start()
     try:
-        warm_up(derivatives=derivatives)
+        if file is None or (file.robot is None and file.method.name != "idim"):  # these compile what they run
+            warm_up(RIGID if file is None else file.joint, derivatives=derivatives)
     finally:
         timer.cancel()

@@ -154,7 +154,7 @@ def _simulate_joint(file: File, estimate: Estimate | None, options: Options) -> 
     # The written record begins at 0, to which a position loop's offset refers.
     driven = replace(file.record(options.record, driving=True), begin=0.0)
     values = file.axis.values() if estimate is None else estimate.require_values()
-    ready(options.progress, derivatives=False)
+    ready(options.progress, file, derivatives=False)
     found = require_success(run(file.loop, driven, values))
     show(f"{100 * found.at_limit:.2f} % of the time at the limit")
     stated = {"resampled": driven.resampled, "parameters": values, "at_limit": found.at_limit}

@@ -22,7 +22,7 @@ from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
-from jointid.simulation.plant import DELAY, LOG_DELAY, Numbers, robot_with
+from jointid.simulation.plant import DELAY, LOG_DELAY, OF_RECORD, Numbers, robot_with
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
 _WITHOUT = (
@@ -163,7 +163,8 @@ def rows_of_robot(
         told, axis = p.name not in refused, "" if place.name == LOG_DELAY else robot.names[place.axis]
         row = EstimatedParameter(
             p.name, p.symbol, unit, float(value) if told else None, float(spread) if told and p.free else None, p.free,
-            refused.get(p.name), not place.of_record, held.get(p.name), axis=axis, formula=formula, nominal=given,
+            refused.get(p.name), place.name not in OF_RECORD, held.get(p.name), nominal=given, axis=axis,
+            formula=formula,
         )  # fmt: skip
         rows.append(row)
     return tuple(rows)

@@ -27,8 +27,6 @@ _SYMBOLS = {
     "inertia": "ZZ",
     "rotor_inertia": "Ia",
     "viscous": "Fv",
-    "viscous_forwards": "Fv+",
-    "viscous_backwards": "Fv-",
     "coulomb": "Fc",
     "stribeck_force": "FS",
     "friction_per_torque": "mu",
@@ -36,18 +34,16 @@ _SYMBOLS = {
     "stiffness": "K",
     "damping": "D",
     "link_viscous": "FvL",
-    "link_viscous_forwards": "FvL+",
-    "link_viscous_backwards": "FvL-",
     "link_coulomb": "FcL",
     "link_stribeck_force": "FSL",
 }
+_WAYS = {"": "", "_forwards": "+", "_backwards": "-"}
 
 
 def symbol_of(quantity: str, joint: int) -> str:
     """Symbol of a joint's number, as "Fc2", "Fv2+"; else its name."""
-    symbol = _SYMBOLS.get(quantity, quantity)
-    word = symbol.rstrip("+-")
-    return f"{word}{joint + 1}{symbol[len(word) :]}"
+    word = quantity.removesuffix("_forwards").removesuffix("_backwards")
+    return f"{_SYMBOLS.get(word, word)}{joint + 1}{_WAYS[quantity[len(word) :]]}"
 
 
 def name_of(quantity: str, joint: str) -> str:
