@@ -158,12 +158,12 @@ class Change(NamedTuple):
     say: Callable[[float | None, Case], Iterable[Cause]]
 
 
-def is_small(cause: Cause, declared: Case) -> bool:
-    """Test whether a cause's value is too near the declared one."""
+def is_small(cause: Cause, declared: Case, tested: bool = True) -> bool:
+    """Test whether a cause is too near the declared value, or left to its test."""
     value, numbers = cause.value, declared.numbers
     if value is not None and cause.name.endswith(("scale", "gain")):
         known = numbers.get(cause.name, 1.0)
-        return min(known, value) > 0 and abs(math.log(value / known)) < _SMALL
+        return min(known, value) > 0 and abs(math.log(value / known)) < (_SMALL if tested else _NEAR)
     name = _TIME if cause.name == "velocity_filter" else cause.name
     unlike = name == _TIME and name not in numbers and declared.controller.velocity_filter != (1.0,)  # of another kind
     timed = value is not None and not unlike and cause.name.endswith(("delay", "filter"))

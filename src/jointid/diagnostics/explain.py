@@ -5,7 +5,7 @@ So each mistake is corrected in turn (`changes`), the joint is identified again,
 
 Of each case the best start is followed for a few steps, then as long as a step promises a part of what it lacks to be
 as good as the best. A flexible joint begins as it was identified, if nearly right; else as rigid, far below its
-resonance, then in the whole band with a mode. At last all begin again at the joint of the best.
+resonance, then in the whole band with a mode, at last at the joint of the best case, the nearest to the right one.
 
 The search assumes one mistake. A number may absorb much of two: so the residual of a cause must be about that of free
 linear responses to the reference (`model_free`), and the likeliest fault beside it may not be an impossible one.
@@ -243,10 +243,9 @@ def find_causes(
         begin = Fit(declared, posed, posed.vector(solved))  # a joint that is nearly right
     known = [] if begin is None else [_list_flexible_starts(replace(begin, case=one), begin) for one in tried]
     fits = _race(known or [_list_rigid_starts(one) for one in tried], 0.0 if known else _ROUGHLY * flexible)
-    if flexible:
+    if flexible and not known:
         near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
-        fits = near if known else _race([_list_flexible_starts(one) for one in near])
-        # The joint of the best case is nearer to that of the right one than any other start.
+        fits = _race([_list_flexible_starts(one) for one in near])
         fits = sorted([*fits, *_race([_list_flexible_starts(one, fits[0]) for one in fits])], key=lambda one: one.error)
     as_declared = [fit for fit in fits if fit.case.change is None]
     left = min((left, *(fit.error for fit in as_declared)))
@@ -274,7 +273,7 @@ def find_causes(
                 words = f'the joint is flexible (model = "flexible"), with a mode near {number(mode, 2)} Hz'
                 candidates += [Cause("flexible", words, mode, bent.error)] * (bent.error * _FAR_MORE <= least)
     candidates.sort(key=lambda one: one.left * (_NOTCH if one.name == "notch" else 1.0))
-    explaining = _explaining(candidates, left, declared)
+    explaining = _explaining(candidates, left, declared, None not in solved.values())
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
     times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
@@ -315,16 +314,16 @@ def list_cases(declared: Case) -> list[Case]:
     return [declared, *sorted(found, key=lambda one: len(one.starts))]  # the cheapest first
 
 
-def _explaining(candidates: Sequence[Cause], left: float, declared: Case) -> tuple[Cause, ...]:
+def _explaining(candidates: Sequence[Cause], left: float, declared: Case, tested: bool) -> tuple[Cause, ...]:
     """Causes with the smallest residuals; none if they explain too little."""
-    if not candidates or is_small(best := candidates[0], declared):
+    if not candidates or is_small(best := candidates[0], declared, tested):
         return ()
     most = (_LEAVES_BY_TIME if best.name == "sample_time" else _LEAVES) * left
     if best.left > min(most, max(_FITS, _CLEARLY * min(left, 1.0))):
         return ()
     found: dict[str, Cause] = {}
-    for one in candidates:
-        if one.left <= _AS_GOOD * best.left and not is_small(one, declared) and (one is best or one.name != "notch"):
+    for one in (each for each in candidates if not is_small(each, declared, tested)):
+        if one.left <= _AS_GOOD * best.left and (one is best or one.name != "notch"):
             found.setdefault(one.name, one)
     return tuple(found.values())[:3]
 

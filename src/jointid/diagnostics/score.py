@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms, orthonormal_basis
+from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.seen import see_loop
@@ -88,6 +88,7 @@ def score(
     declared: Mapping[Fault, float],
     where: Cells,
     by_forces: Callable[[], Sequence[FloatArray]] = tuple,
+    fitted: tuple[FloatArray, FloatArray] | None = None,
     widened: float = _WIDENED,
     along_measured_motion: bool = False,
 ) -> tuple[FaultTest, ...]:
@@ -103,15 +104,16 @@ def score(
         where: cells of the rows.
         by_forces: returns residuals, (rows,) each, that random forces in the loop and noise would leave alone; called
             only where a test is significant.
+        fitted: basis of the columns that are excluded instead, and what their fit takes of each frequency.
         widened: largest p-value of a test whose deviation is widened for a residual that repeats with the motion.
         along_measured_motion: whether the columns contain the loop's response to a force; deviations are then widened
             for the possible bias, like those of the estimate (`Influence.widen_for_motion`).
     """
     from scipy.stats import chi2, norm
 
-    every = orthonormal_basis(np.column_stack([own, *(one.column for one in signatures)]), _RANK)
-    whiten = fit_whitener(_give_back(residual - every @ (every.T @ residual), every))
-    basis, error = orthonormal_basis(whiten(own), _RANK), whiten(residual)
+    every, taken = fitted or _span(own, *(one.column for one in signatures))
+    whiten = fit_whitener(_give_back(residual - every @ (every.T @ residual), taken))
+    (basis, taken), error = _span(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
     best: dict[tuple[int, Fault], _Step] = {}
     shapes: Counter[tuple[int, Fault]] = Counter()
@@ -130,9 +132,9 @@ def score(
     def test(group: Sequence[_Step]) -> FaultTest:
         (signature, size, column, _), fault = group[0], group[0].signature.fault
         alone, rest = column[:, np.newaxis], left - size * column
-        after = _give_back(rest, np.column_stack([basis, alone / column_norms(alone)]))
+        after = _give_back(rest, taken + _span(alone)[1])
         influence = Influence(alone, after)
-        same = [other.signature for other in group[1:] if other.signature.axis == signature.axis]
+        same = tuple(other.signature.fault for other in group[1:] if other.signature.axis == signature.axis)
         family = of_mechanics.count(fault.mechanical) * (_RARER if fault.mechanical else 1)
         tests = shapes[signature.axis, fault] * family
 
@@ -142,10 +144,7 @@ def score(
             if fault.tried:  # a size that its coefficients make has no sign
                 tail = chi2.sf(ratio**2, _OF_WAVE)
             p_value = min(float(tail) * tests, 1.0) if abs(size) >= fault.least else 1.0
-            return FaultTest(
-                fault, tuple(one.fault for one in same), declared[fault], size, std, p_value, signature.shape,
-                signature.axis,
-            )  # fmt: skip
+            return FaultTest(fault, same, declared[fault], size, std, p_value, signature.shape, signature.axis)
 
         covariance = influence.robust()
         found = judge(float(covariance.std[0]))
@@ -172,9 +171,14 @@ def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...
     return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -test.strength)))
 
 
-def _give_back(residual: FloatArray, fitted: FloatArray) -> FloatArray:
+def _span(*columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Orthonormal basis of columns, and what their fit takes of each frequency."""
+    basis = orthonormal_basis(np.column_stack(columns), _RANK)
+    return basis, smoothed_spectrum(basis, len(basis))[0]
+
+
+def _give_back(residual: FloatArray, taken: FloatArray) -> FloatArray:
     """Rescale a residual at each frequency to its size before the fit."""
-    taken = smoothed_spectrum(fitted, residual.size)[0]
     shares = np.concatenate([taken[:1], taken])
     return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - shares, _KEPT)), residual.size)
 
@@ -252,6 +256,10 @@ class SolvedLoop:
         return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
 
     @cached_property
+    def _every(self) -> tuple[FloatArray, FloatArray]:
+        return _span(self.own, *(one.column for one in self.signatures))
+
+    @cached_property
     def residual(self) -> FloatArray:
         """Residual of the problem, (rows,)."""
         return self.problem.residual(self.x)
@@ -309,9 +317,8 @@ class SolvedLoop:
         if self.record is None or self.proved is None:
             return False
         controller, size = self.proved.controller, test.size
-        if test.fault in (LOG_GAIN, LOG_DELAY):
-            more = {"gain" if test.fault is LOG_GAIN else "late": size}
-            return excludes(self.record, self.proved, controller, **more)
+        if of_log := {LOG_GAIN: "gain", LOG_DELAY: "late"}.get(test.fault):
+            return excludes(self.record, self.proved, controller, **{of_log: size})
         if (declared := numbers_of(controller).get(test.name)) is None or test.name == "limit":
             return False
         most = _AT_MOST * abs(declared) or abs(size)
@@ -328,8 +335,10 @@ class SolvedLoop:
 
     def test_law(self, fault: Fault, moved: FloatArray) -> FaultTest:
         """Test another law, which changes the torque by `moved`, (rows,)."""
-        signatures = [*self.signatures, FaultSignature(fault, moved)]
-        test = score(self.residual, self.own, signatures, {fault: 0.0}, self._where, lambda: self._forced)[0]
+        law, (every, taken) = [FaultSignature(fault, moved)], self._every
+        beside, more = _span(moved - every @ (every.T @ moved))
+        fitted = np.column_stack([every, beside]), taken + more
+        (test,) = score(self.residual, self.own, law, {fault: 0.0}, self._where, lambda: self._forced, fitted)
         return replace(test, p_value=min((len(self.tests) + _LAWS) * test.p_value, 1.0))
 
     def list_alike(self, test: FaultTest) -> tuple[FaultTest, ...]:

@@ -143,7 +143,7 @@ def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
         unfitted = test.fault.mechanical and values.keys() == after.problem.units.keys()
         return Finding(test, None, rivals, changes, left=None if unfitted else left), after
     if test.fault is suspects.LIMIT:
-        return Finding(test, values[test.name] * _torque_per_unit(after.problem), rivals, changes), after
+        return Finding(test, after.problem.axis_at(after.x).law.limit, rivals, changes), after
     value = values[test.name]
     return Finding(replace(test, size=value - test.declared), value, rivals, changes, left=left), after
 
@@ -168,7 +168,8 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
         return held, {**ends[0].problem.values(ends[0].x), **beside}
     start = test.declared + test.size
     if fault is suspects.LIMIT:  # the declared one may be infinite
-        start = (test.shape or 0.0) / _torque_per_unit(problem)
+        law: Any = problem.loop.controller
+        start = (test.shape or 0.0) / (getattr(law, "gain", 1.0) * abs(getattr(law, "ratio", 1.0)))
         problem = problem.under(with_numbers(problem.loop.controller, {test.name: start}))
     wider = problem.freeing(test.name)
     start = max(start, next(p.lower for p in wider.free if p.name == test.name))
@@ -179,12 +180,6 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
         if (reached or fault is suspects.LIMIT) and np.linalg.norm(wider.residual(x)) <= np.linalg.norm(found.residual):
             return replace(held, problem=wider, x=x, corrected=found.corrected), wider.values(x)
     return held, problem.values(found.x)  # a bound or another fault prevents the fit: the test stands
-
-
-def _torque_per_unit(problem: ClosedLoopProblem) -> float:
-    """Return the torque on the joint per unit of the controller output."""
-    controller = problem.loop.controller
-    return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
 
 
 def _search_law(found: SolvedLoop, signature: FaultSignature) -> tuple[FloatArray, Mapping[str, float]] | None:

@@ -40,6 +40,7 @@ class Seen:
             by what the log shows of that force itself, if it does.
         loop: its problem and solution, if simulated as a loop of its own.
         residual, own: (rows,) of that problem, and (rows, free) columns of its parameters.
+        trials: problem and start of each joint with other laws, by the identity of its torque change.
     """
 
     position: FloatArray
@@ -54,16 +55,12 @@ class Seen:
     loop: tuple[ClosedLoopProblem, FloatArray] | None = None
     residual: FloatArray = field(default_factory=lambda: np.zeros(0))
     own: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    trials: dict[int, tuple[ClosedLoopProblem, FloatArray]] = field(default_factory=dict)
 
     @cached_property
     def values(self) -> Mapping[str, float]:
         """The parameters of a loop's joint, by name."""
         return {} if self.loop is None else self.loop[0].values(self.loop[1])
-
-    @cached_property
-    def trials(self) -> dict[int, tuple[ClosedLoopProblem, FloatArray]]:
-        """Problem and start per joint with other laws, by torque change's identity."""
-        return {}
 
     @cached_property
     def at_low_speeds(self) -> list[tuple[float, FloatArray]]:
