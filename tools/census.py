@@ -79,22 +79,22 @@ def count_ideas(paths: Iterable[Path]) -> dict[str, int]:
 def measure(root: Path) -> dict[str, int]:
     """Return each measure by its name, in the order of the table."""
     package = root / "src" / "jointid"
-    rooms = sorted(path.parent for path in package.glob("*/__init__.py"))
     paths = [path for path in package.rglob("*.py*") if path.suffix in (".py", ".pyi")]
-    core = count_ideas(path for room in _CORE for path in (package / room).rglob("*.py"))
+    core, tests = count_ideas(path for room in _CORE for path in (package / room).rglob("*.py")), root / "tests"
     around = [root / name for name in ("studies", "tools", "benchmarks")]
     return {
-        **{room.name: count_lines(room.rglob("*.py")) for room in rooms},
+        **{room.parent.name: count_lines(room.parent.rglob("*.py")) for room in sorted(package.glob("*/__init__.py"))},
         "package": count_lines(paths),
         "files": len(paths),
-        "tests": count_lines((root / "tests").rglob("*.py")),
+        "tests": count_lines(tests.rglob("*.py")),
         "studies, tools, benchmarks": count_lines(path for place in around for path in place.rglob("*.py")),
         "words": count_words(root),
         "commands": count_commands(),
         "public names": count_names(package),
         **{name: count for name, count in count_ideas(paths).items() if name != "private constants"},
         **{f"core {name}": count for name, count in core.items()},
-        "core tests": count_lines(path for room in _CORE for path in (root / "tests" / room).rglob("*.py")),
+        "core tests": count_lines(path for room in _CORE for path in (tests / room).rglob("*.py")),
+        "simulation and models tests": count_lines([*tests.glob("simulation/**/*.py"), *tests.glob("models/**/*.py")]),
     }
 
 

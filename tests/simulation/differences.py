@@ -67,6 +67,16 @@ def simulate_moved(
     return run
 
 
+def differences(experiment: LoopInput, numbers: Numbers, places: Sequence[Place], steps: int) -> FloatArray:
+    """Return the derivatives by central differences of whole runs, (samples, n, parameters)."""
+    x, columns = np.array([numbers[place] for place in places]), []
+    for c in range(x.size):
+        step = 1e-5 * max(abs(x[c]), 0.05) * (np.arange(x.size) == c)
+        both = [run_loop(experiment, numbers.with_values(places, x + s), steps=steps).torque for s in (step, -step)]
+        columns.append((both[0] - both[1]) / (2 * step[c]))
+    return np.stack(columns, axis=2)
+
+
 def error_beside_differences(
     columns: tuple[FloatArray, ...], loop: ClosedLoop, record: Record, values: dict[str, float], name: str,
     steps: tuple[float, ...], start: Initial = AT_REST, *, back: float = 1.0,

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import TABLE_2
 from jointid.simulation.drive_side import LOAD_STATE, PARTS, DriveSideRun, prescribe, run_drive_side
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.simulate import motion_of
+from tests.plants import prismatic, with_law
 from tests.simulation.differences import drive_side_slopes
 
 T = 1e-3
@@ -52,13 +52,8 @@ def test_a_load_that_sticks_stands_still_and_stores_its_deflection() -> None:
 
 @pytest.mark.parametrize("pause", [False, True])
 def test_derivatives_are_those_of_differences(pause: bool) -> None:
-    joint = FlexibleJoint("prismatic", friction=Friction("asymmetric")) if not pause else JOINT
-    values = dict(TABLE_2)
-    if not pause:
-        for side in ("motor", "load"):
-            for word in ("viscous", "coulomb"):
-                value = values.pop(f"{side}_{word}")
-                values |= {f"{side}_{word}_forwards": 1.1 * value, f"{side}_{word}_backwards": 0.9 * value}
+    loop, values = with_law(prismatic(1), "symmetric" if pause else "asymmetric")
+    joint = loop.joint
     values |= {"initial_load_position": 1e-4, "initial_load_velocity": 1e-3}
     names = tuple(p.name for p in joint.parameters) + LOAD_STATE
     run = run_along(wave(pause=pause), values, joint=joint)

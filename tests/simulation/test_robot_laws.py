@@ -18,6 +18,7 @@ from jointid.simulation.plant import Numbers, Place, robot_with
 from jointid.simulation.simulate import Outcome, run_loop
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
+from tests.simulation.differences import differences
 
 LAW = PD(position_gain=900.0, derivative_gain=30.0)
 LINK = 0.8  # kg m2
@@ -48,11 +49,6 @@ COMBINED = [RigidJoint("revolute", Friction("asymmetric-presliding"))] + [
         ("stribeck-load-dependent", "backlash"), ("asymmetric-drifting", "three-piece"),
     )
 ]  # fmt: skip
-JOINTS = pytest.mark.parametrize(
-    "joint",
-    [*RIGID, *FLEXIBLE, *SPRUNG[1:], *HANGING, *COMBINED],
-    ids=lambda joint: f"{joint.model} {joint.friction.name} {joint.laws[-1].name}{' hanging' * bool(joint.gravity)}",
-)
 
 
 def values_of(joint: Joint) -> dict[str, float]:
@@ -84,9 +80,16 @@ def reference() -> Record:
     return Record(reference=Channel(moved, "rad", 1e-3))
 
 
-@JOINTS
+@pytest.mark.parametrize(
+    "joint",
+    [*RIGID, *FLEXIBLE, *SPRUNG[1:], *HANGING, *COMBINED],
+    ids=lambda joint: f"{joint.model} {joint.friction.name} {joint.laws[-1].name}{' hanging' * bool(joint.gravity)}",
+)
 def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
-    """To the error of the joint's own steps; where its motion is exact, to the order of the robot's integrator."""
+    """To the error of the joint's own steps; where its motion is exact, to the order of the robot's integrator.
+
+    Derivatives by every number of every law are those of differences, and the robot has again what its numbers say.
+    """
     record, loop = reference(), RobotLoop(robot_of(joint), (LAW,))
     numbers = Numbers.of(loop.robot)
     again = Numbers.of(robot_with(loop.robot, numbers))
@@ -103,24 +106,13 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     assert not joint.straight or runs[8].events == exact.events
     assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < (1e-6 if not joint.straight else 1e-9)
 
-
-@JOINTS
-def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None:
-    """Of order 2 in the pieces of the tape: by every number of every law."""
-    record, robot = reference(), robot_of(joint)
-    driven, numbers = prepare(RobotLoop(robot, (LAW,)), (record,)), Numbers.of(robot)
+    driven = prepare(loop, (record,))
     weight = ("mx", "my") if joint.gravity else ()
     places = [Place(0, name) for name in ("Izz", *weight, *numbers.values[0]) if name != "load_offset"]
     found = differentiate(run_loop(driven, numbers, keep=True, steps=4), places)[0][0]
-    for column, place in enumerate(places):
-        value = numbers[place]
-        step = 1e-5 * max(abs(value), 0.05)
-        high, low = (
-            run_loop(driven, numbers.with_values((place,), np.array([value + by])), steps=4).torque[:, 0]
-            for by in (step, -step)
-        )
-        expected = (high - low) / (2.0 * step)
-        assert np.linalg.norm(found[:, column] - expected) < 1e-3 * np.linalg.norm(expected), place
+    expected = differences(driven, numbers, places, 4)[:, 0]
+    off = np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0)
+    assert not [place for place, one in zip(places, off, strict=True) if one >= 1e-3]
 
 
 def test_a_full_tape_grows_to_that_of_a_run_in_room_enough(monkeypatch: pytest.MonkeyPatch) -> None:

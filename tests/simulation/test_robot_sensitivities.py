@@ -5,40 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.common.arrays import FloatArray
-from jointid.models.controllers import PD, PID, Cascade
+from jointid.models.controllers import PID, Cascade
 from jointid.models.robots.robot import RobotLoop
 from jointid.records.chunks import cut
 from jointid.records.record import Channel, Tap, Timing
 from jointid.simulation.derivatives import differentiate
-from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import DELAY, Numbers, Place
 from jointid.simulation.simulate import run_loop
 from tests.robots_plants import all_places, six, two
-from tests.simulation.test_robots import COUPLED, changed, faster
+from tests.simulation.differences import differences
+from tests.simulation.test_robots import COUPLED, apart, changed, faster
 
 LATE = tuple(
     Cascade(position_gain=20.0, velocity_gain=kv, integral_gain=8.0, position_period=2e-3, delay=1.3e-3)
     for kv in (60.0, 16.0)
 )
-APART = tuple(
-    PD(position_gain=kp, derivative_gain=kd, period=period, delay=delay)
-    for kp, kd, period, delay in ((2400.0, 115.0, 1e-3, 4e-4), (1000.0, 36.0, 2e-3, 0.0))
-)
 LIMITED = tuple(
     PID(position_gain=kp, derivative_gain=kd, integral_gain=4 * kp, limit=limit)
     for kp, kd, limit in ((2000.0, 110.0, 18.0), (800.0, 34.0, 5.0))
 )
-
-
-def differences(experiment: LoopInput, numbers: Numbers, places: tuple[Place, ...], steps: int) -> FloatArray:
-    """Return the derivatives by central differences of whole runs, (samples, n, parameters)."""
-    x, columns = np.array([numbers[place] for place in places]), []
-    for c in range(x.size):
-        step = 1e-5 * max(abs(x[c]), 0.05) * (np.arange(x.size) == c)
-        both = [run_loop(experiment, numbers.with_values(places, x + s), steps=steps).torque for s in (step, -step)]
-        columns.append((both[0] - both[1]) / (2 * step[c]))
-    return np.stack(columns, axis=2)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +36,7 @@ def differences(experiment: LoopInput, numbers: Numbers, places: tuple[Place, ..
         (RobotLoop(two().robot, LIMITED), 4, 5e-3),
         (six().loop(), 1, 2e-3),
         (changed(two((None, 12.0)), *COUPLED).loop(), 4, 5e-3),
-        pytest.param(RobotLoop(two((None, 12.0)).robot, APART), 4, 5e-3, marks=pytest.mark.slow),
+        pytest.param(RobotLoop(two((None, 12.0)).robot, apart(two())), 4, 5e-3, marks=pytest.mark.slow),
         (replace(two((None, 12.0)).loop(), in_motion=True), 4, 5e-3),
     ],
     ids=[
@@ -88,7 +74,7 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
         (two().loop(), True),
         (two((10.0, 14.0)).loop(), False),
         (changed(two((None, 12.0)), *COUPLED).loop(), False),
-        (RobotLoop(two((None, 12.0)).robot, APART), False),
+        (RobotLoop(two((None, 12.0)).robot, apart(two())), False),
     ],
     ids=["rigid", "torques averaged", "flexible", "motors coupled", "clocks that differ"],
 )
