@@ -89,6 +89,7 @@ def test_residual_and_frequencies() -> None:
     assert replace(ESTIMATE, rows=rows[:2]).frequencies == {}
     held = (*rows[:2], replace(rows[2], at_bound=8e5))
     assert replace(ESTIMATE, rows=held).frequencies == {}
+    assert replace(ESTIMATE, rows=held).answer.found.values["mode_hz"] is None
 
 
 def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.model_free import compare_law
 from jointid.estimation.parameters import robot_parameters
-from jointid.estimation.problems.simulated import pose_robot, torque_problem
+from jointid.estimation.problems.simulated import pose_robot
 from jointid.output.figures import AxisSignals
 from jointid.paper.twin import twin
 from jointid.records.chunks import cut
@@ -89,8 +89,10 @@ def test_a_free_gain_needs_a_known_parameter() -> None:
 
 
 def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
+    """Nor is the controller compared with its own torque."""
     found = ji.identify(logged().without("torque"), LOOP)
     assert not {"log_gain", "log_delay"} & {test.name for test in found.diagnosis.axes[0].faults.tests}
+    assert compare_law(ji.controller.compute_controller_torque(logged(), LOOP), LOOP) is None
 
 
 def test_positions_are_of_several_records_and_of_windows() -> None:
@@ -125,25 +127,6 @@ def test_an_integral_leaves_no_constant_torque(begin: float) -> None:
     assert found["offset"].value is None
     assert max(map(abs, deviations(found))) < 3.5
     assert [v.values["undetermined"] for v in found.checks if v.name == "scale"] == [["offset"]]
-
-
-def test_the_derivatives_are_those_of_the_residual() -> None:
-    law = replace(LAW, period=1e-3)
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
-    record = ji.controller.compute_controller_torque(logged(law).without("torque"), loop)
-    problem = torque_problem(record, loop, ji.Filtering(), loop.joint.parameters)
-    x = problem.vector(TRUTH | {"initial_position": 0.0, "initial_velocity": 0.0}) * 1.02
-    slopes = problem.linearise(x)[1]
-    for k, name in enumerate(p.name for p in problem.free[:3]):
-        step = np.zeros_like(x)
-        step[k] = 1e-5 * x[k]
-        near = (problem.residual(x + step) - problem.residual(x - step)) / (2 * step[k])
-        assert np.linalg.norm(slopes[:, k] - near) < 1e-3 * np.linalg.norm(near), name
-
-
-def test_the_controller_is_not_compared_with_its_own_torque() -> None:
-    assert compare_law(logged(), LOOP) is not None
-    assert compare_law(ji.controller.compute_controller_torque(logged(), LOOP), LOOP) is None
 
 
 def test_idim_takes_a_computed_torque() -> None:
@@ -217,10 +200,8 @@ def test_positions_of_a_robot_lower_the_cutoff_and_their_ends_are_not_compared()
 @pytest.mark.parametrize("noise", ["disturbance", "white"])
 def test_torque_and_position_of_the_twin_agree_within_their_intervals(noise: Any) -> None:
     made = twin("L19", noise=noise, seed=3)
-    methods, how = (
-        [ji.DIDIM(outputs=(one,), frequency=30.0) for one in ("torque", "motor_position")],
-        ji.Filtering(cutoff=60.0),
-    )
+    methods = [ji.DIDIM(outputs=(one,), frequency=30.0) for one in ("torque", "motor_position")]
+    how = ji.Filtering(cutoff=60.0)
     torque, position = (ji.identify(made.record, made.loop, one, filtering=how, checks=False) for one in methods)
     for name, truth in made.truth.items():
         of_torque, of_position = torque[name], position[name]

@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
+from itertools import count
 from typing import Any, Literal
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.estimation.pieces import fill_starts
+from jointid.estimation.methods import idim
+from jointid.estimation.pieces import Records, fill_starts
+from jointid.estimation.problems.simulated import Simulated
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
@@ -19,6 +22,7 @@ from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
+from tests.estimation.robots.test_several_logs import LOGS, LOOP
 
 RIGID = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
@@ -182,6 +186,22 @@ def test_a_record_that_is_much_noisier_does_no_harm(method: Any) -> None:
     assert len(both.warnings) == len(alone.warnings) == (method.simulates != "loop")
     for row, other in zip(alone.rows[:3], both.rows[:3], strict=True):
         assert abs(other.value - row.value) < 0.5 * row.stderr and other.stderr < 1.1 * row.stderr
+
+
+def test_weights_that_still_change_at_the_last_turn_are_not_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    values, turns = {"inertia": 95.0, "viscous": 210.0, "coulomb": 21.0, "offset": 0.0}, count()
+    records = [simulated_record(RIGID, reference, values, sample_time=1e-3) for reference in (BRIEF, -BRIEF)]
+    for problem, name, settle in ((Records, "weigh", Records.weigh), (Simulated, "reweight", Simulated.reweight)):
+
+        def restless(*given: Any, settle: Any = settle) -> Any:
+            return replace(found := settle(*given), sigma=found.sigma * 2.0 ** (next(turns) % 2))
+
+        monkeypatch.setattr(problem, name, restless)
+    monkeypatch.setattr(idim, "solve_rows", partial(idim.solve_rows, turns=1))
+    cases: Any = ((records, RIGID, None), (records, RIGID.joint, ji.IDIM()), (LOGS[0], LOOP, None))
+    for given, model, method in cases:
+        found = ji.identify(given, model, method, checks=False)
+        assert not found.fit.converged and "search_ended" in found.answer.trust.values["reasons"]
 
 
 def test_what_one_record_refuses_another_may_tell() -> None:

@@ -13,7 +13,6 @@ from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
-ADDED = [0.0, 10.0]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +37,7 @@ def two(axis: Twin, *free: str) -> list[ClosedLoopProblem]:
 def test_derivatives_against_central_differences(axis: Twin) -> None:
     """Shared, own, one that is known but for what is added, and the drive's gain, through weights."""
     problems = two(axis, "position_gain")
-    layout = Layout(tuple(one.loop for one in problems), tuple(ADDED), ((), FRICTION), (GAIN,))
+    layout = Layout(tuple(one.loop for one in problems), (0.0, 10.0), ((), FRICTION), (GAIN,))
     known = {p.name: p.fix(axis.truth[p.name]) for p in axis.loop.joint.parameters if p.name == "load_inertia"}
     problem = replace(share_parameters(problems, layout, known), sigma=np.array([2.0, 0.7]))
     names = [p.name for p in problem.free]

@@ -138,6 +138,8 @@ def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> 
     path = estimate.save(tmp_path / "out.json")
     back = ji.load_estimate(path, system)
     assert back.to_dict() == estimate.to_dict()
+    path.write_text(dumps(back.to_dict() | {"warnings": ["said in other words"], "notes": []}), "utf-8")
+    assert ji.load_estimate(path, system).answer.trust.code == estimate.answer.trust.code
     assert back.summary(details=True) == estimate.summary(details=True)
     np.testing.assert_allclose(back.correlation, estimate.correlation, rtol=1e-12)
     assert back.data.fingerprints == estimate.data.fingerprints

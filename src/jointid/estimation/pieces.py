@@ -59,7 +59,7 @@ from jointid.records.record import Channel, Record
 from jointid.records.resampling import period_ratio
 from jointid.simulation.simulate import Outcome
 from jointid.simulation.start import INITIAL
-from jointid.solvers.solve import LevenbergMarquardt, Solution, damped_step, solve
+from jointid.solvers.solve import LevenbergMarquardt, Solution, Status, damped_step, solve
 from jointid.uncertainty.covariance import Covariance, Influence, Sums, covariance_of, larger, left_out, rows_of, total
 from jointid.uncertainty.identifiability import find_separable, identifiability
 from jointid.uncertainty.position_dependent_error import RESTING, cells, uncertainty
@@ -331,6 +331,8 @@ def _search(together: Records, x: FloatArray) -> tuple[Solution, Records, int]:
         if np.all(np.abs(np.log(weighed.sigma / together.sigma)) < 0.01):
             break
         together = weighed
+    else:
+        solution = replace(solution, status=Status.EVALUATION_LIMIT, message="not converged: weights still change")
     return solution, together, made * len(together.problems)
 
 

@@ -48,12 +48,7 @@ def test_friction_that_differs_by_direction_is_kept_by_its_own_names() -> None:
     stated = {f"joint1.{name}": Parameter(name, "", Quantity.FORCE).fix(1.0) for name in
               ("viscous_forwards", "viscous_backwards", "coulomb", "offset")}  # fmt: skip
     kept = ji.identify(LOGS[0], robot, parameters=stated, checks=False)
-    assert [name for name, row in kept.parameters.items() if not row.free] == [
-        "joint1.viscous_forwards",
-        "joint1.viscous_backwards",
-        "joint1.coulomb",
-        "joint1.offset",
-    ]
+    assert [name for name, row in kept.parameters.items() if not row.free] == [*stated]
     backwards = {"joint1.coulomb_backwards": Parameter("coulomb", "Fc-", Quantity.FORCE).fix(1.0)}
     for model in (robot, replace(LOOP, robot=robot)):
         with pytest.raises(MethodError):

@@ -108,14 +108,6 @@ def test_noise_floor_and_intervals() -> None:
     assert np.mean(inside) > 0.85
 
 
-def test_positions_in_the_records_are_not_read() -> None:
-    twin = two()
-    loop = twin.loop()
-    records, _ = recorded(loop, twin.records(4.0), 0.02)
-    bare = tuple(record.without("motor_position") for record in records)
-    assert np.array_equal(search_robot(loop, records).values, search_robot(loop, bare).values)
-
-
 def test_friction_is_never_let_below_nothing() -> None:
     """Of a robot without Coulomb friction none is found, and the column stays that of the velocity's direction."""
     twin = two()

@@ -43,12 +43,14 @@ def test_the_same_torques(twin: Twin) -> None:
 
 
 def test_a_rigid_robot_is_identified_from_torques_by_mujoco() -> None:
+    """Of six draws of the noise one has 53 of the 58 parameters within two deviations, the others 57 or 58."""
     twin = six()
-    records = twin.records(6.0)
-    theirs, _ = moved(twin, records, step=2.5e-4)
-    fit = search_robot(twin.loop(), logged(records, theirs, 0.02))
-    assert fit.converged
-    assert np.mean(np.abs(deviations(fit, twin)) < 2) > 0.85
+    records = twin.records(10.0)
+    theirs, _ = moved(twin, records)
+    fits = [search_robot(twin.loop(), logged(records, theirs, 0.02, seed)) for seed in range(6)]
+    inside = [np.sum(np.abs(deviations(fit, twin)) <= 2) for fit in fits]
+    assert all(fit.converged and len(fit.values) == 58 for fit in fits)
+    assert np.median(inside) >= 57 and np.mean(inside) >= 0.95 * 58
 
 
 @pytest.mark.slow
@@ -57,8 +59,9 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
     records = twin.records(6.0, multisine=0.004)
     # A step of the first order puts damping of its size into springs: at 0.1 ms four deviations of the friction.
     theirs, _ = moved(twin, records, step=2e-5)
-    settings = DIDIM(frequencies={"joint1": 15, "joint2": 15})
-    found = search_robot(twin.loop(), logged(records, theirs, 0.02), None, settings)
+    found = search_robot(
+        twin.loop(), logged(records, theirs, 0.02), None, DIDIM(frequencies={"joint1": 15, "joint2": 15})
+    )
     off = np.abs(deviations(found, twin))
     assert np.max(off) < 3.5  # of one draw of the noise, whose errors go together
     assert np.mean(off < 2) > 0.75
@@ -66,15 +69,11 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("twin", "multisine", "step"),
-    [(six(), 0.0, 2.5e-4), (two((12.0, 18.0)), 0.004, 2e-5)],
-    ids=["six rigid", "two flexible"],
-)
-def test_intervals_hold_when_the_error_of_mujoco_is_counted(twin: Twin, multisine: float, step: float) -> None:
+def test_intervals_hold_when_the_error_of_mujoco_is_counted() -> None:
     """That error is what is found of its torques without noise; beside it two deviations hold the truth."""
-    records = twin.records(6.0, multisine=multisine)
-    theirs, _ = moved(twin, records, step=step)
+    twin = two((12.0, 18.0))
+    records = twin.records(6.0, multisine=0.004)
+    theirs, _ = moved(twin, records, step=2e-5)
 
     def identified(noise: float, seed: int) -> RobotFit:
         made = logged(records, theirs, noise, seed)

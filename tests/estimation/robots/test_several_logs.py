@@ -36,6 +36,7 @@ def test_idim_takes_from_each_log_what_it_tells(estimator: Any) -> None:
     method = ji.IDIM(estimator)
     estimates: list[Any] = [ji.identify(records, LOOP, method, checks=False) for records in (*LOGS, LOGS)]
     both = estimates[-1].robot
+    assert all(one.passed for estimate in estimates for one in estimate.checks if one.name == "instruments")
     one, other, spread = (estimate.covariance_of(estimate.free).std for estimate in estimates)
     information = 1 / one**2 + 1 / other**2
     # The logs tell different sums best, so together they tell each parameter better than both answers averaged.

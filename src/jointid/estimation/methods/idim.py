@@ -55,12 +55,11 @@ from jointid.uncertainty.covariance import LEVEL, SHOWN
 from jointid.uncertainty.identifiability import conditioning
 from jointid.uncertainty.model_tests import durbin_wu_hausman
 
-VARIANTS = {
+VARIANTS = {  # how it was run
     "ols": "IDIM by ordinary least squares",
     "weighted": "IDIM by weighted least squares, each joint and record by the size of its error",
     "iv": "IDIM by instrumental variables from the simulated loop",
 }
-"""How IDIM was run, by its estimator."""
 
 
 @add_settings_to_docstring
@@ -102,13 +101,9 @@ class IDIM(Method):
 
         def state(solved: Solution) -> dict[str, Any]:
             stated = [p for p in solved.fix(inverse.parameters.parameters) if p.free or p.name in known]
-            values, std = (
-                dict(zip(solved.rows.names, map(float, one), strict=True))
-                for one in (solved.values, solved.covariance.std)
-            )
-            table = build_rows(stated, values, std, joint.unit, known, solved.held)
-            Z = solved.instruments
-            return {"rows": table, "checks": () if Z is None else (_compare_instruments(solved, Z),)}
+            pair = solved.values, solved.covariance.std
+            values, std = (dict(zip(solved.rows.names, one.tolist(), strict=True)) for one in pair)
+            return {"rows": build_rows(stated, values, std, joint.unit, known, solved.held)}
 
         logs = [[one] for one in (record, *task.others)]
         return self._regress(inverse, loop, logs, task.filtering, known, state, channels=read)
@@ -204,6 +199,7 @@ class IDIM(Method):
             fitted=solved.residual.size,
             end=(f"{end} after {pluralise(solved.turns, 'solution')}", solved.converged),
             simulations=solved.turns if make else 0,
+            checks=() if solved.instruments is None else (_compare_instruments(solved, solved.instruments),),
             settings=Settings(
                 self.name, VARIANTS[estimator], inverse.system, None, common, inverse.delay, timing=solved.timing
             ),
@@ -216,9 +212,9 @@ class IDIM(Method):
 
 def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
     """Check whether least squares would agree with the instruments."""
-    rows, free = solved.rows, solved.free
-    left = solved.residual + rows.W[:, free] @ solved.values[free]
-    p_value = durbin_wu_hausman(rows.W[:, free], left, Z, rows.equations)
+    rows, free, per_row = solved.rows, solved.free, solved.scale[:, np.newaxis]
+    W, left = rows.W[:, free] / per_row, solved.residual / solved.scale
+    p_value = durbin_wu_hausman(W, left + W @ solved.values[free], Z / per_row, rows.equations)
     rejected = p_value < LEVEL
     said = "columns are correlated with errors" if rejected else "nothing speaks against least squares"
     said = f"{said} (p = {p_value:.2g}): its values {'are biased' if rejected else 'agree with these'}"

@@ -149,7 +149,6 @@ IN_WINDOWS = (
     "The estimate is of a record in windows, whose torque it does not keep; identify a part of the record, by "
     "record.start and record.stop."
 )
-"""What needs the torque of the whole record says so."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -419,6 +419,8 @@ def _settle(problem: Simulated, end: Solved, history: History, turns: int = 4) -
         end = _go_on(weighed, end, (3e-5, 0.1 / end.solution.residual.size), history)
         if not end.solution.status.converged or np.all(np.abs(np.log(_reweight(end).sigma / weighed.sigma)) < 0.4):
             break
+    else:  # the errors still change
+        end = end._replace(solution=replace(end.solution, status=Status.EVALUATION_LIMIT))
     return conclude(end, history.counted.evaluations)
 
 
