@@ -90,14 +90,8 @@ def test_a_joint_is_simulated_identified_and_read_back_with_its_own_law(law: Fri
 
 
 def test_torque_and_deflection_of_the_pieces() -> None:
-    values = {
-        "stiffness": 2.0,
-        "stiffness_2": 4.0,
-        "stiffness_3": 8.0,
-        "torque_1": 2.0,
-        "torque_2": 6.0,
-        "damping": 0.0,
-    }
+    values = {"stiffness": 2.0, "stiffness_2": 4.0, "stiffness_3": 8.0, "torque_1": 2.0, "torque_2": 6.0}
+    values["damping"] = 0.0
     spring, still = Spring("three-piece"), np.zeros(6)
     deflection = np.array([0.5, 1.0, 1.5, 2.0, 2.5, -2.5])  # edges at 1 and 2
     np.testing.assert_allclose(spring.torque(values, deflection, still), [1.0, 2.0, 4.0, 6.0, 10.0, -10.0])

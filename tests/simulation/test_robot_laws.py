@@ -12,12 +12,13 @@ from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, Ro
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
-from jointid.simulation.kernels import engine
+from jointid.simulation.kernels import engine, variation
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.plant import Numbers, Place, robot_with
 from jointid.simulation.simulate import Outcome, run_loop
 from jointid.simulation.start import Initial
 from jointid.simulation.synthesis import simulate
+from jointid.simulation.warm_up import warm_up
 from tests.simulation.differences import differences
 
 LAW = PD(position_gain=900.0, derivative_gain=30.0)
@@ -140,3 +141,7 @@ def test_lines_smooth_laws_and_robots_are_compiled_each_when_it_is_run(monkeypat
     run_loop(prepare(loop := RobotLoop(robot_of(RIGID[0]), (LAW,)), (record,)), Numbers.of(loop.robot))
     kinds = list(dict.fromkeys(seen))
     assert [seen.count(kind) for kind in kinds] == [len(lines), 1, 1 + len(SPRUNG[4:]), 1]
+    followed = list[object]()  # beforehand, no force takes a joint out of the range of its reference
+    monkeypatch.setattr(variation, "follow", lambda *given: followed.append(given))
+    warm_up(FlexibleJoint("prismatic", FRICTIONS["presliding"], gravity=Gravity("constant")))
+    assert followed

@@ -105,14 +105,13 @@ def simulated_record(
     def channel(array: ArrayLike, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
         return Channel(np.asarray(array, dtype=np.float64), unit, sample_time, timing, name)
 
+    given = None if injected is None else channel(injected, force, Timing.HELD)
     driven = Record(
         torque=channel(np.zeros(np.size(reference)), force, Timing.HELD),
         tap=Tap(tap),
         reference=channel(reference, position),
         reference_velocity=None if reference_velocity is None else channel(reference_velocity, f"{position}/s"),
-        injected=None
-        if injected is None
-        else Injection(channel(injected, force, Timing.HELD), InjectionPoint(at), in_torque),
+        injected=None if given is None else Injection(given, InjectionPoint(at), in_torque),
         name=name,
     )
     experiment = forced = prepare(loop, driven)

@@ -35,8 +35,9 @@ def warm_up(joint: Joint = RIGID, *, derivatives: bool = True) -> None:
         derivatives: also those of the derivatives.
     """
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
-    # With an offset it would leave the range of its reference, and there would be no derivatives.
-    values = dict.fromkeys(names_of(joint), 0.5) | {"offset": 0.0}
+    # Under a force it would leave the range of its reference, and there would be no derivatives.
+    forces = ("offset", "gravity", "counterbalance", "harmonic", "load_harmonic")
+    values = {name: 0.5 * (not name.startswith(forces)) for name in names_of(joint)}
     run = run_loop(prepare(loop, _AT_REST[POSITION_UNIT[joint.kind]]), Numbers.of_joint(joint, values), keep=True)
     if derivatives:
         differentiate(run, run.numbers.not_zero())
