@@ -31,7 +31,7 @@ def warm_up(joint: Joint = RIGID, *, derivatives: bool = True) -> None:
     """Compile a joint's simulation (by default linear laws), or load the cache.
 
     Args:
-        joint: with the laws to compile; other laws are compiled at their first use.
+        joint: whose kernels to compile. Lines and smooth laws, and each number of masses of the latter, have their own.
         derivatives: also those of the derivatives.
     """
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))

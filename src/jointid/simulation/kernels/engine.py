@@ -370,7 +370,7 @@ def run(
         before: (axes,) torques that acted before the first period.
         far: (axes,) motor positions above which a loop counts as diverged.
         z: (axes, states) of the controllers, overwritten.
-        joint: as many numbers as a joint without a path has masses, so that the compiler knows it; None of others.
+        joint: of one without a path a number for each mass: only how many is read, at compile time. None of others.
         place: (masses,) initial positions.
         speed: (masses,) initial velocities.
         wound: (masses,) initially wound-up shares of friction, overwritten.
