@@ -274,5 +274,5 @@ def diagnose_robot(
         cause = find_robot_cause(robot, records, estimate.settings.filtering)
     for k, axis in enumerate(axes if cause is not None else ()):  # which explains faults, but no use of a reference
         kept = tuple(one for one in axis.faults.findings if one.test.name in OTHER_LAWS)
-        axes[k] = replace(axis, faults=replace(axis.faults, findings=kept), caused=True)
+        axes[k] = replace(axis, faults=replace(axis.faults, findings=kept, part=None), caused=True)
     return Diagnosis(robot.name, method, tuple(axes), torques, cause)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,6 +62,7 @@ _SAID = {
     "zero": "the encoder of {joint} reads 0 where its model is near {value} rad: check it, and give its zero",
     "geometry": "the torques fit a {joint} {numbers} m elsewhere on the link before it: check the model's lengths",
     "gravity": "the links weigh something, and the model has no gravity: give it {value} m/s2 along {numbers}",
+    "unlogged_gravity": "the torques are logged without gravity: log all of each torque, or give the model no gravity",
     "base": "the base stands {value} rad otherwise: declare it as robot.base, with gravity along {numbers}",
     "coupled": "the motor of {joint} turns with {other}: declare coupling = {{ {other} = {value} }} for {joint}",
 }
@@ -91,10 +92,6 @@ class _Change(NamedTuple):
     starts: Sequence[Sequence[float]] = ((),)
 
 
-_Fitted: TypeAlias = tuple[float, FloatArray, _Change]
-"""Squares that are left, the numbers of a change, and that change."""
-
-
 def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filtering) -> Cause | None:
     """Cause that explains most of rigid IDIM's residual, or None."""
     from scipy.optimize import least_squares
@@ -104,16 +101,16 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
     declared = _thin(robot, records, filtering)
     error, sizes = _solver(declared)
 
-    def fit(change: _Change, x: FloatArray) -> _Fitted:
+    def fit(change: _Change, x: FloatArray) -> tuple[float, FloatArray, _Change]:
         return float(np.sum(error(change.correct(x)) ** 2)), x, change
 
-    def descend(_: float, start: FloatArray, change: _Change) -> _Fitted:
+    def descend(_: float, start: FloatArray, change: _Change) -> tuple[float, FloatArray, _Change]:
         def residual(x: FloatArray) -> FloatArray:
             return error(change.correct(x))
 
         return fit(change, least_squares(residual, start, max_nfev=_STEPS).x)
 
-    def cost(one: _Fitted) -> float:
+    def cost(one: tuple[float, FloatArray, _Change]) -> float:
         """Sum of squares, penalised for each number but those of a base, which a zero imitates."""
         squares, x, change = one
         if change.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
@@ -222,6 +219,8 @@ def _changes(case: _Case) -> Iterator[_Change]:
         weighs, (), lambda x: case._replace(robot=replace(robot, gravity=size * x / np.linalg.norm(x))),
         [*np.eye(3), *-np.eye(3)],
     )  # fmt: skip
+    if np.any(robot.gravity):
+        yield _Change("unlogged_gravity", (), lambda _: case._replace(robot=replace(robot, gravity=np.zeros(3))))
     for i, j in itertools.permutations(own, 2):
         # Where joint j moves with motor i, some factor would leave a joint that no motor moves.
         if abs(i - j) == 1 and not robot.joints[i].coupling and abs(follows[j, i]) < _RANK:
