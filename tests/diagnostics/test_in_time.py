@@ -38,9 +38,8 @@ def test_a_push_is_found_in_its_part_of_the_time_and_no_fault_is_named(size: flo
     assert (loop.passed, loop.code) == (False, Reason.MISFIT_IN_PART)
     assert BEGIN - 0.1 < loop.values["begin"] < loop.values["end"] < END + 0.1
     assert not (found.answer.reliable or found.diagnosis.axes[0].faults.findings)
-    assert "leave_out" in beside_tables(found)["next"]
     assert ji.diagnose(record, LOOP).summary().count("does not follow the model") == 1  # once
-    left_out = tuple(map(tuple, json.loads(str(loop.words).partition("leave_out = ")[2].removesuffix(")"))))
+    left_out = tuple(map(tuple, json.loads(beside_tables(found)["next"].partition(" = ")[2].partition(")")[0])))
     assert ji.identify(replace(record, left_out=left_out), LOOP).answer.reliable
 
 
@@ -50,7 +49,12 @@ def test_a_push_that_the_fit_follows_is_found_too() -> None:
 
 
 def test_noise_that_comes_back_is_no_part() -> None:
-    assert ji.identify(pushed(0.0).without("motor_position"), LOOP).answer.reliable
+    plain = pushed(0.0).without("motor_position")
+    found = ji.identify(plain, LOOP)
+    assert found.answer.reliable and found.diagnosis.axes[0].near is None
+    wave = replace(plain.torque, values=plain.torque.values + 0.1 * np.sin(75.0 * plain.torque.time))
+    near = ji.identify(plain.with_channels({"torque": wave}), LOOP).diagnosis.axes[0].near
+    assert near == pytest.approx(75.0 / (2 * np.pi), rel=0.02)
     sweep = healthy.drive(20006, 8.0, "white force")  # whose fast end the axis does not follow
     assert ji.identify(sweep.record, sweep.loop).answer.reliable
     time = STEP * np.arange(8000)

@@ -153,11 +153,10 @@ def test_parts_in_which_the_drive_is_off_are_named_with_their_times() -> None:
     record = ji.simulated_record(loop, reference, truth, sample_time=T)
     assert find_parts_off(record) is None
     torque, position = record.torque.values.copy(), record.motor_position.values.copy()
-    count = 1500
-    torque[:count], position[:count] = 0.0, position[count]
+    torque[:1500], position[:1500] = 0.0, position[1500]
     values = {"torque": torque, "motor_position": position}
     off = record.with_channels({n: replace(getattr(record, n), values=one) for n, one in values.items()})
     message = find_parts_off(off)
     assert message is not None and message.values["causes"][0]["cause"] == "drive_off"
     ((begin, end),) = message.values["parts"]
-    assert begin == 0.0 and abs(end - count * record.torque.sample_time) <= 0.25
+    assert begin == 0.0 and abs(end - 1.5) <= 0.25

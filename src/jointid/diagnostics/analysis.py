@@ -77,10 +77,7 @@ def estimate_spectra(measured: FloatArray, predicted: FloatArray, sample_time: f
     from scipy.signal import welch
 
     if measured.shape != predicted.shape or measured.size < 2 * _SHORTEST:
-        raise RecordError(
-            f"Spectra need two signals of one length, {2 * _SHORTEST} samples or more; received {measured.size} and "
-            f"{predicted.size}: use a longer record."
-        )
+        raise RecordError(f"Spectra take {2 * _SHORTEST} samples or more; received {measured.size}: record longer.")
     wanted = min(max(measured.size // _PARTS, _SHORTEST), _LONGEST)
     window = 1 << (wanted.bit_length() - 1)
     signals = np.stack([measured, predicted, measured - predicted])

@@ -81,12 +81,15 @@ class AxisTorques:
         ends = np.cumsum([0, *np.sum(self.seen, axis=1)]).tolist()
         return [slice(*pair) for pair in itertools.pairwise(ends)]
 
-    def judge(self, axis: int, rest: FloatArray | None = None) -> tuple[float, Whiteness | None]:
-        """Residual share and whiteness of an axis's torque, or of a `rest`."""
+    def judge(self, axis: int, rest: FloatArray | None = None) -> tuple[float, Whiteness | None, float | None]:
+        """Residual share, whiteness and frequency, Hz, of an axis's torque, or of a `rest`."""
         whole = float(np.linalg.norm(self.measured[axis])) or 1.0
         left = self.error[axis] if rest is None else self.sigma[axis] * rest
         white = whiteness(left[self.seen[axis]] if rest is None else left, self.sample_time, self.cutoff)
-        return float(np.linalg.norm(left)) / whole, white
+        power = np.abs(np.fft.rfft(left)) ** 2
+        top = int(np.argmax(power))
+        most = 2.0 * np.sum(power[math.floor(0.9 * top) : math.ceil(1.1 * top) + 1]) > np.sum(power)
+        return float(np.linalg.norm(left)) / whole, white, top / (left.size * self.sample_time) if most else None
 
     def stack(self, each: FloatArray) -> FloatArray:
         """Stack compared rows of all axes, (n, rows, ...), scaled by error."""

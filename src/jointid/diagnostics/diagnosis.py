@@ -18,7 +18,7 @@ from jointid.common.document import Block, Document, Documented, Facts, Table, T
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parallel import in_threads
-from jointid.common.text import join, sentence
+from jointid.common.text import join, number, sentence
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.axis_torques import AxisTorques, is_noise, torques_of_loop, torques_of_robot
 from jointid.diagnostics.changes import OTHER_LAWS, Cause
@@ -72,6 +72,7 @@ class AxisDiagnosis:
         name: of the joint; empty of a joint alone.
         left: residual share of its filtered torque.
         whiteness: of the residual; None if the record is too short.
+        near: Hz; half of the residual's squares or more are within a tenth of it, and None if it has no such frequency.
         law: comparison of the declared controller with the logged torque; None without a controller, a reference or a
             logged motor position.
         faults: that were tested, and those found.
@@ -84,6 +85,7 @@ class AxisDiagnosis:
     name: str
     left: float
     whiteness: Whiteness | None
+    near: float | None
     law: LawOnPosition | None
     faults: AxisFaults
     repeats: bool | None = None
@@ -212,12 +214,12 @@ class Diagnosis(Documented):
 
     def _table(self) -> Table:
         """Residuals of each axis's torque, by model and by controller."""
-        header = ("joint", "left, %", "white", "controller leaves, %", "any law, %")
+        header = ("joint", "left, %", "white", "most near, Hz", "controller leaves, %", "any law, %")
         rows = []
         for one in self.axes:
             white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
             law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
-            rows.append((one.name or "joint", f"{100 * one.left:.3g}", white, *law))
+            rows.append((one.name or "joint", f"{100 * one.left:.3g}", white, number(one.near, 3), *law))
         return Table(header, tuple(rows), f"residual of each joint's filtered {self.axes[0].signal}", (0, 2))
 
 

@@ -92,14 +92,12 @@ class LawComparison(Documented):
 
     Attributes:
         kind: of the laws.
-        record: its name.
         laws: all that could be identified, by rising number of parameters; of a spring a rigid joint first.
         declared: name of the law in the joint.
     """
 
     in_json = "shown answer"
     kind: Literal["spring", "friction"]
-    record: str
     laws: tuple[JudgedLaw, ...]
     declared: str
 
@@ -243,7 +241,7 @@ def compare_laws(
                 judged.append(judge(Solved(*fit_rigid(first.problem, first.values)), law))
             else:
                 judged.append(line if law == simple else judge(identify(law, first.problem.filtering), law))
-    return LawComparison(kind, record.name, rank(judged), getattr(joint, kind).name)
+    return LawComparison(kind, rank(judged), getattr(joint, kind).name)
 
 
 def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:

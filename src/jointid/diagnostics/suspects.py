@@ -258,9 +258,9 @@ class AxisFaults:
         if self.explained is not None:
             clause = "something is wrong that is none of the known faults"
             share, alike = number(100 * self.explained, 2), " and ".join(_call(one.test.fault) for one in self.findings)
-            words = f"{clause}: of these, {alike or 'none'} would explain {share} % of the squares of the residual"
-            words += "; of a single joint, jointid diagnose --laws compares laws of friction and spring"
-            return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained}, clause),)
+            remedy = "of a single joint, compare laws of friction and spring by jointid diagnose --laws"
+            words = f"{clause}: of these, {alike or 'none'} would explain {share} % of the residual's squares; {remedy}"
+            return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained, "remedy": remedy}, clause),)
         if self.findings:
             return tuple(map(self._describe, self.findings))
         least = min((one.p_value for one in self.tests), default=1.0)

@@ -54,14 +54,14 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
 
 def _lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
     """Yield the lines beside answer and tables: what to do, what the record does not tell, and where the rest is."""
-    trust, checks, reasons = estimate.answer.trust, estimate.checks, estimate.answer.trust.values["reasons"]
+    trust, reasons = estimate.answer.trust, estimate.answer.trust.values["reasons"]
+    checks = sorted(estimate.checks, key=lambda one: (one.name != Subject.LOOP, one.name != Subject.IDENTIFIABILITY))
     wrong = [one for one in checks if one.passed is False and (one.name == Subject.LOOP or one.code in reasons)]
-    wrong.sort(key=lambda one: one.name != Subject.LOOP)
-    unseen = (Trust.REFUSED, Reason.AT_BOUND, Reason.STIFFNESS_NOT_SHOWN, Reason.WIDE_INTERVAL, Reason.NO_INTERVAL)
-    if {trust.code, *reasons[:1]} & {*unseen}:
+    unseen = Trust.REFUSED, Reason.AT_BOUND, Reason.STIFFNESS_NOT_SHOWN, Reason.WIDE_INTERVAL, Reason.NO_INTERVAL
+    if {trust.code, *reasons[:1]} & {*unseen, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES}:
         yield "next", "record a motion that shows it: jointid design plans one"
     elif wrong:
-        remedy = wrong[0].values.get("remedy") or "put it right, as jointid diagnose says"
+        remedy = wrong[0].values.get("remedy") or "correct what jointid diagnose finds"
         yield "next", f"{remedy}, and identify again"
     else:
         yield "next", "see whether it predicts another record: jointid validate"
