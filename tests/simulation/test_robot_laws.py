@@ -89,7 +89,7 @@ def reference() -> Record:
 def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     """To the error of the joint's own steps; where its motion is exact, to the order of the robot's integrator.
 
-    Derivatives by every number of every law are those of differences, and the robot has again what its numbers say.
+    Derivatives by every number are those of differences, of order 2; and the robot has again what its numbers say.
     """
     record, loop = reference(), RobotLoop(robot_of(joint), (LAW,))
     numbers = Numbers.of(loop.robot)
@@ -99,21 +99,22 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     alone = ClosedLoop(joint, LAW)
     begun = Initial(float(runs[8].motor_position[0, 0]), 0.0, 0.0)
     exact = simulate(alone, prepare(alone, record), values_of(joint), begun)
-    peak = float(np.max(np.abs(exact.torque)))
-    errors = {steps: float(np.max(np.abs(run.torque[:, 0] - exact.torque))) / peak for steps, run in runs.items()}
+    peak = np.max(np.abs(exact.torque))
+    errors = {n: np.max(np.abs(run.torque[:, 0] - exact.torque)) / peak for n, run in runs.items()}
     assert all(run.outcome is Outcome.FINISHED for run in runs.values())
     assert errors[8] < (1e-5 if not joint.straight else 2e-9)
-    assert not joint.straight or errors[8] < errors[4] / 10.0 + 3e-11
-    assert not joint.straight or runs[8].events == exact.events
+    assert not joint.straight or (errors[8] < errors[4] / 10.0 + 3e-11 and runs[8].events == exact.events)
     assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < (1e-6 if not joint.straight else 1e-9)
-
     driven = prepare(loop, (record,))
     weight = ("mx", "my") if joint.gravity else ()
     places = [Place(0, name) for name in ("Izz", *weight, *numbers.values[0]) if name != "load_offset"]
-    found = differentiate(run_loop(driven, numbers, keep=True, steps=4), places)[0][0]
+    found = {n: differentiate(run_loop(driven, numbers, keep=True, steps=n), places)[0][0] for n in (2, 4, 16)}
     expected = differences(driven, numbers, places, 4)[:, 0]
-    off = np.linalg.norm(found - expected, axis=0) / np.linalg.norm(expected, axis=0)
+    sizes = np.linalg.norm(expected, axis=0)
+    off = np.linalg.norm(found[4] - expected, axis=0) / sizes
     assert not [place for place, one in zip(places, off, strict=True) if one >= 1e-3]
+    coarse, fine = (np.linalg.norm((found[n] - found[16]) / sizes) for n in (2, 4))
+    assert fine < coarse / 3.5 or "load-dependent" in joint.friction.name  # which bends where no step ends
 
 
 def test_a_full_tape_grows_to_that_of_a_run_in_room_enough(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,8 +140,7 @@ def test_lines_smooth_laws_and_robots_are_compiled_each_when_it_is_run(monkeypat
         alone = ClosedLoop(joint, LAW)
         run_loop(prepare(alone, record), Numbers.of_joint(joint, values_of(joint)))
     run_loop(prepare(loop := RobotLoop(robot_of(RIGID[0]), (LAW,)), (record,)), Numbers.of(loop.robot))
-    kinds = list(dict.fromkeys(seen))
-    assert [seen.count(kind) for kind in kinds] == [len(lines), 1, 1 + len(SPRUNG[4:]), 1]
+    assert [seen.count(kind) for kind in dict.fromkeys(seen)] == [len(lines), 1, 1 + len(SPRUNG[4:]), 1]
     followed = list[object]()  # beforehand, no force takes a joint out of the range of its reference
     monkeypatch.setattr(variation, "follow", lambda *given: followed.append(given))
     warm_up(FlexibleJoint("prismatic", FRICTIONS["presliding"], gravity=Gravity("constant")))

@@ -1,8 +1,8 @@
 """Parameter derivatives of a run: by variation, or columns of known motion.
 
-They are of order 4 in the steps of the tape (`kernels.variation`), and exact over the parts that a joint of straight
-lines crosses by a map. Derivatives by a controller's numbers are exact, too: the law, linear in its signals, is run on
-the simulated position at two neighbouring values.
+They are of order 2 in the steps of the tape, of order 4 where a joint's equations are linear (`kernels.variation`), and
+exact where a map crosses a part. Derivatives by a controller's numbers are exact, too: the law, linear in its signals,
+is run on the simulated position at two neighbouring values.
 """
 
 from __future__ import annotations
