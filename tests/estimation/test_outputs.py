@@ -154,11 +154,6 @@ def log_robot(laws: tuple[Any, ...]) -> tuple[ji.robots.RobotLoop, list[ji.Recor
     return loop, records
 
 
-@pytest.fixture(scope="module")
-def robot_log() -> tuple[ji.robots.RobotLoop, list[ji.Record]]:
-    return log_robot(PDS)
-
-
 def test_a_robot_under_an_integral_settles_and_has_no_offsets() -> None:
     loop, records = log_robot(CASCADES)
     found = ji.identify(records, loop, checks=False)
@@ -169,10 +164,8 @@ def test_a_robot_under_an_integral_settles_and_has_no_offsets() -> None:
         assert found[f"{name}.coulomb"].value == pytest.approx(joint.coulomb, rel=0.05)
 
 
-def test_a_robot_without_torques_is_identified_from_its_positions(
-    robot_log: tuple[ji.robots.RobotLoop, list[ji.Record]],
-) -> None:
-    loop, records = robot_log
+def test_a_robot_without_torques_is_identified_from_its_positions() -> None:
+    loop, records = log_robot(PDS)
     found = ji.identify(records, loop, checks=False)
     assert scale_status(found) == [None]
     assert max(found.fit.axis_errors.values()) < 0.05

@@ -141,17 +141,17 @@ def rebuild_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProbl
     Raises:
         MethodError: the estimate is not by DIDIM or lacks a value, or the record is another one.
     """
-    settings = estimate.settings
+    settings, data = estimate.settings, estimate.data
     joint, loop, method = settings.joint, settings.loop, settings.method.upper()  # a robot is refused as such
     if loop is None:
         raise MethodError(f"Only DIDIM simulates a loop that can be followed; received an estimate by {method}.")
     estimate.require_values()
-    if "motor_position" in estimate.data.channels and not record.computed:  # its torque was computed from that
+    if "motor_position" in data.channels and not record.computed:  # its torque was computed from that
         record = compute_controller_torque(record, loop)
     record.require(("torque",), "The estimate")
-    if record.torque is not None and (fingerprint(record.torque.values),) != estimate.data.fingerprints:
-        other = f"The estimate is from {estimate.data.record}, and {record.name} has another torque: give its record."
-        raise MethodError(other if estimate.data.windows is None else IN_WINDOWS)
+    if data.windows or [fingerprint(torque.values) for torque in (record.torque,) if torque] != [*data.fingerprints]:
+        other = f"The estimate is from {data.record}, and {record.name} has another torque: give its record."
+        raise MethodError(IN_WINDOWS if data.windows else other)
     values = {p.name: p.value or 0.0 for p in estimate.rows}
     problem = torque_problem(record, loop, settings.filtering, joint.parameters)
     problem = problem.freeing(*(name for name in values if name not in problem.units))

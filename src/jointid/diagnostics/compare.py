@@ -126,7 +126,7 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any]) -> EstimateComp
                     f"A and B are not of the same system: the {what} is {one} in A and {there.get(what)} in B; "
                     "identify both with the same file and options."
                 )
-        records = [{*map(str, one["data"]["fingerprints"])} for one in both]  # of the torques; none of a long log
+        records = [{*map(str, one["data"]["fingerprints"])} for one in both]  # of the torques
         same = not records[0].isdisjoint(records[1])
         sums = [_sums(one) for one in both]
         parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none

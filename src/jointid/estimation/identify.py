@@ -20,7 +20,7 @@ from jointid.common.text import number
 from jointid.estimation.methods import Method, Task, default_method
 from jointid.estimation.parameters import LOG_DELAY, adjust_parameters, require_friction
 from jointid.estimation.pieces import GAIN, identify_records, identify_windows, lay_out, travel
-from jointid.estimation.problems.inverse_model import Records, each_log
+from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.verdict import Reason, Subject, check_of, scale_check
 from jointid.models.joints import ClosedLoop, Joint
@@ -73,7 +73,7 @@ def part_of(record: Record) -> Record:
     return max(parts, key=lambda part: travel([part]))
 
 
-def _refuse_windows(log: Sequence[object], model: Any, method: Method | None, several: object) -> str:
+def _refuse_windows(log: Sequence[Any], model: Any, method: Method | None, several: object) -> str:
     """Reason against windows, in a sentence; empty if there is none."""
     if not log or several or not hasattr(model, "loops") or not _simulates_loop(method):
         return (
@@ -82,7 +82,8 @@ def _refuse_windows(log: Sequence[object], model: Any, method: Method | None, se
         )
     joints = [one.model for one in model.robot.joints] if hasattr(model, "robot") else [model.joint]
     computed = "motor_position" in getattr(method, "outputs", ()) or any(getattr(one, "computed", False) for one in log)
-    if hasattr(model, "robot") and (computed or any(getattr(one, "torque", log) is None for one in log)):
+    named = [getattr(one, "columns", None) or getattr(one, "record", one).channels for one in log]
+    if hasattr(model, "robot") and (computed or any("torque" not in names for names in named)):
         return "Windows of a robot reproduce logged torques, not motor positions: log them, or leave windows out."
     if drifting := next((joint.friction.name for joint in joints if "drifting" in joint.friction.name), ""):
         return (
@@ -119,7 +120,7 @@ def fit(
         raise MethodError(said)
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
         if not listed or several:
-            raise MethodError("A robot is identified from its joints' records; give these without `several`.")
+            raise MethodError("A robot is identified from a list of its joints' records, without `several`: give that.")
         return _fit_robot(record, model, method or default_method(model), filtering, known, windows, progress)
     if listed:
         return _fit_records(record, model, method, filtering, known, several or {}, progress)
@@ -269,6 +270,7 @@ def _check_robot_records(logs: Sequence[Sequence[Record]], robot: Robot) -> None
     """
     back, faults = np.linalg.inv(robot.coupling), list[str]()
     for log in logs:
+        require_one_log(log)
         if len(log) != len(robot):
             raise RecordError(f"A log of a robot has a record of each joint, {len(robot)}; received {len(log)}.")
         for k, (name, record) in enumerate(zip(robot.names, log, strict=False)):
@@ -305,9 +307,7 @@ def state_scale(fit: Estimate, records: Sequence[Record]) -> Estimate:
     determines the common factor of controller and joint. The content of an integral at the first sample is unknown, and
     with it a constant torque: the parameters that include it lose their values.
     """
-    computed = [
-        (one, one.torque, one.computed_by) for one in records if one.computed_by is not None and one.torque is not None
-    ]
+    computed = [(one, one.torque, one.computed_by) for one in records if one.computed_by and one.torque]
     if not computed:
         return fit
     rows = [row for row in fit.rows if row.of_joint]

@@ -28,7 +28,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import islice, zip_longest
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -643,7 +643,9 @@ class WindowsOfLog:
 
 def chunks_of(logs: Sequence[LongRecord], length: int, overlap: int) -> Iterator[tuple[Chunk, list[Record]]]:
     """Chunks of joints' logs: the first joint's, and all records."""
-    for each in zip(*(log.chunks(length, overlap) for log in logs), strict=False):  # until the shortest log ends
+    for each in zip_longest(*(log.chunks(length, overlap) for log in logs)):
+        if None in each:
+            raise MethodError("The logs of a robot's joints end at different times: give all one length.")
         yield each[0], [chunk.record for chunk in each]
 
 
@@ -714,8 +716,9 @@ def identify_windows(
         part = replace(part, setup=at_estimate(loop, like.parameters, values), values=values)
     rows, units = _rows_at(began, like, x, covariance, solution), {row.name: row.unit for row in began.rows}
     too_short = [f"{forgets}; give longer windows"] if needed > settled else []
+    read = [log.record for log in logs if hasattr(log, "record")] or first
     made = build_estimate(
-        first, rows, covariance.correlation, 2 * (np.zeros((0, len(logs))),), found.errors, sums.rows,
+        read, rows, covariance.correlation, 2 * (np.zeros((0, len(logs))),), found.errors, sums.rows,
         (solution.message, solution.status.converged),
         began.fit.simulations + len(problem.passes) * len(found.windows), settings, began.data.channels,
         robot=part, window=began, agreement=drift(found.windows, x, problem.free, units),
@@ -729,8 +732,7 @@ def identify_windows(
         still=found.still,
         duration=found.windows[-1].end - found.windows[0].begin,
     )
-    name = join([*dict.fromkeys(log.name for log in logs)])
-    data = replace(made.data, record=name, fingerprints=(), resampled=None, windows=span)
+    data = replace(made.data, resampled=None, windows=span)
     return replace(made, fit=replace(made.fit, passes=len(problem.passes)), data=data, records=())
 
 
@@ -759,10 +761,7 @@ def _rows_at(
 
 
 def _start(
-    logs: Sequence[LongRecord],
-    cut: tuple[int, int],
-    fit: FitWindow,
-    progress: Progress,
+    logs: Sequence[LongRecord], cut: tuple[int, int], fit: FitWindow, progress: Progress
 ) -> tuple[Estimate, list[Record]]:
     """Estimate from the first window that identifies the joint or robot, and its records.
 

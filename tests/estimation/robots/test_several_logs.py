@@ -8,6 +8,7 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.validation import Prediction
 from jointid.estimation.robots.didim import search_robot
+from jointid.records.chunks import Log, cut
 from jointid.simulation.plant import Numbers
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
@@ -66,5 +67,9 @@ def test_a_long_log_in_windows_says_what_the_whole_says(hertz: Any, monkeypatch:
         assert abs(parts[name].value - row.value) < 0.7 * row.stderr, name
         assert 0.5 < parts[name].stderr / row.stderr < 2.5, name
     assert parts.robot.setup == loop and parts.answer.reliable
-    with pytest.raises(ji.MethodError):
-        ji.identify([record.without("torque") for record in log], loop, windows=4.0)
+    assert ji.validate(parts, log).answer.code is Prediction.OWN_RECORD
+    unread = Log("unread.csv", {"reference": "q"})
+    shorter = [log[0], cut(log[1], 0, 8000 + round(parts.data.windows.settling / 1e-3) * 2 + 4000)]
+    for wrong in (shorter, [record.without("torque") for record in log], [unread] * 2, [[unread] * 2], unread):
+        with pytest.raises(ji.MethodError):
+            ji.identify(wrong, loop, windows=4.0)

@@ -160,7 +160,7 @@ class Data:
         channels: that were read.
         sample_time: of the torque, seconds.
         torque_unit: of the torque: N, N m, A or V.
-        fingerprints: of the torque of each record, or of each log of a robot, see `fingerprint`; none of a long log.
+        fingerprints: of the torque of each record or log of a robot, see `fingerprint`; of files of the first window.
         resampled: resampling of the samples to a uniform clock; None if they were logged so.
         windows: how a long log was cut; None for a record.
     """
