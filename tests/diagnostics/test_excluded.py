@@ -75,3 +75,5 @@ def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:
     assert gross | {"delay"} <= names(record.without("motor_position"))
     assert (gross | {"delay"}) & names(record) == {"delay"}  # behind the log
     assert gross <= names(record.with_channels({"torque": replace(record.torque, values=10.0 * record.torque.values)}))
+    slow = replace(record.reference, values=record.reference.values[::4], sample_time=4e-3)
+    assert not {"swapped_channels"} & names(record.with_channels({"reference": slow}))

@@ -43,7 +43,7 @@ _SCALES = tuple(10 ** (k / 2) for k in range(-8, 9))  # of the torque, beside an
 _UNITS = {"in degrees, not rad": _DEGREES, "in mm, not m": 1e3}  # of a reference, read without a factor
 _NEAR = 0.08  # logarithm: a factor is taken for another one that is so near
 _ROUGHLY = 0.3  # logarithm: unmodelled dynamics move a factor by so much; 75 is then 57.3, of an angle in degrees
-_GEARED = 5.0  # times too small: a reference of a load whose gear is not declared
+_GEARED = 2 * math.sqrt(2) * math.exp(_ROUGHLY)  # times too small, roughly: more than peak-to-peak for rms, so a gear
 _SMALL = math.log(1.5)  # a factor that is nearer to 1 is left to its test, which gives an interval
 HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
 _NO_TIME = 1e-6  # s: no drive keeps so short a time
@@ -286,8 +286,8 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
         torque.insert(0, Cause("torque_constant", said, factor))
     lead = getattr(gear, "lead", None)
     geared = f"a lead of {number(1e3 * lead / factor, 2)} mm" if lead else f"a gear of {number(ratio * factor, 2)}:1"
-    said = unit or f"{times} too {other}, as by {geared}"
-    reference = [Cause("reference_scale", f"the reference is {said}", 1 / factor)]
+    geared = f", as by {geared}" if gear is not None or ratio * factor > 1 else ""  # none has less than 1:1
+    reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}{geared}'}", 1 / factor)]
     law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
     for causes in (reference, torque, law) if unit or (gear is None and factor > _GEARED) else (law, torque, reference):
         if case.record.injected is None or (causes is torque) is of_torque:
