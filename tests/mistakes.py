@@ -200,7 +200,7 @@ def _swapped(first: str, second: str) -> Edit:
     })  # fmt: skip
 
 
-def _give_position_as_reference(record: ji.Record) -> ji.Record:
+def give_position_as_reference(record: ji.Record) -> ji.Record:
     assert record.reference is not None
     assert record.motor_position is not None
     step = 1e-6 * float(np.ptp(record.reference.values))
@@ -228,7 +228,7 @@ MISTAKES = (
     _mistake("reference in mm", "reference_scale", log("reference", lambda x: 1000.0 * x)),
     _mistake("reference turned round", "reference_sign", log("reference", np.negative)),
     _mistake("torque and reference swapped", "swapped_channels", changes(swap)),
-    _mistake("actual position as reference", "reference_is_position", changes(_give_position_as_reference)),
+    _mistake("actual position as reference", "reference_is_position", changes(give_position_as_reference)),
     _mistake("position_gain and velocity_gain swapped", "swapped_gains", _swapped("position_gain", "velocity_gain")),
     _mistake("position_gain twice as large", "position_gain", _twice("position_gain")),
     _mistake("velocity_gain twice as large", "law_gain", _twice("velocity_gain")),
@@ -311,7 +311,7 @@ def _side_forgotten(one: Any) -> None:
     log("reference", lambda x: 1 / abs(one.model.transmission.motor_per_load) * x)(one)
 
 
-def _other_ratio(one: Any) -> None:
+def other_ratio(one: Any) -> None:
     """The reference is logged on the load, torque and controller are the motor's: all that the ratio takes over."""
     gear = one.model.transmission
     log("torque", lambda x: 0.1 * x)(one)
@@ -369,7 +369,7 @@ MORE = (
 )
 _GEARED = (
     _mistake("side of the reference forgotten", "gear_side", _side_forgotten, _BARE, said='side = "load"'),
-    _mistake("gear ratio ten times as small", "reference_scale", _other_ratio, _BARE),
+    _mistake("gear ratio ten times as small", "reference_scale", other_ratio, _BARE),
 )
 _MILLISECONDS = declares(integral_gain=lambda one: one.law.integral_gain / 1000)
 _INTEGRAL = _mistake("integral time in ms, in s", "integral_gain", _MILLISECONDS, _BARE)

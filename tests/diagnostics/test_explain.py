@@ -1,6 +1,7 @@
 """The cause that is named where a record does not fit the declared drive: twenty mistakes on two axes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
 
@@ -27,16 +28,16 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.healthy import drive
 from studies.setpoints import judge
+from tests import mistakes
+from tests.edits import Edit, changes, declares, has, late_by, log, slower
 from tests.estimates import faults_of, identify
 from tests.mistakes import MISTAKES, MORE, SMOOTH, AxisName, axis, cut, tell, without_mistake, without_positions
 
+SLOW = pytest.mark.slow
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
-SLOWER = ("torque turned round", "reference in degrees", "sample time ten times as long")
 
 
-@pytest.mark.parametrize(
-    "name", ["torque and reference swapped", *(pytest.param(name, marks=pytest.mark.slow) for name in SLOWER)]
-)
+@pytest.mark.parametrize("name", ["torque and reference swapped", pytest.param("torque turned round", marks=SLOW)])
 def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: str) -> None:
     record, loop = BY_NAME[name].make(axis("rigid"), 1)
     with pytest.raises(JointidError) as raised:
@@ -74,9 +75,9 @@ def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
     tried = [one.factor for one in list_cases(declared) if one.change is not None and one.change.name == "sample_time"]
     assert tried == [0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0]
     kinds = {"velocity_filter": FirstOrder(1e-3)}, {"velocity_filter": ji.controller.MovingAverage(4)}
-    for kind, slower in ((kinds[0], True), (kinds[1], False), ({"interpolation": "hold"}, False)):
+    for kind, fewer in ((kinds[0], True), (kinds[1], False), ({"interpolation": "hold"}, False)):
         other = declared.under(replace(loop.controller, **kind))
-        assert (searching._pose(other, other.loop).axis.law.period > declared.period) is slower
+        assert (searching._pose(other, other.loop).axis.law.period > declared.period) is fewer
     notch = declared.under(replace(loop.controller, torque_filters=(ji.controller.Notch(2.0 / declared.period, 10.0),)))
     assert searching._pose(notch, notch.loop) is None
 
@@ -132,9 +133,8 @@ def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
     assert not estimate.answer.reliable
 
 
-@pytest.mark.parametrize("mistake", ["torque constant said twice", "velocity_gain twice as large"])
-def test_a_number_that_is_far_off_is_named_behind_a_law_that_explains_nearly_all(mistake: str) -> None:
-    assert BY_NAME[mistake].right & {*tell(*BY_NAME[mistake].make(axis("rigid"), 1))[0]}
+def test_a_number_that_is_far_off_is_named_behind_a_law_that_explains_nearly_all() -> None:
+    assert "torque_constant" in tell(*BY_NAME["torque constant said twice"].make(axis("rigid"), 1))[0]
 
 
 def test_a_fault_is_none_that_leaves_more_when_it_is_corrected() -> None:
@@ -194,15 +194,6 @@ def test_a_record_too_short_is_not_relied_on_however_well_it_fits() -> None:
         assert ji.identify(record, loop).answer.reliable is reliable
 
 
-def test_a_gain_in_1_per_min_is_told_by_its_unit() -> None:
-    record, loop = without_mistake(axis("rigid"))
-    gain = loop.controller.position_gain  # type: ignore[attr-defined]
-    wrong = replace(loop, controller=with_numbers(loop.controller, {"position_gain": 60 * gain}))
-    first = find_causes(without_positions(record), wrong).explanations[0]
-    assert (first.name, first.value) == ("position_gain", pytest.approx(gain, rel=0.05))
-    assert "1/min" in first.words and "degrees" not in first.words
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [180 / np.pi, np.pi / 180])
 def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
@@ -224,41 +215,92 @@ LAW = Cascade(position_gain=20.0, velocity_gain=434.0, integral_gain=33.0, veloc
 SPRING = ClosedLoop(FlexibleJoint("revolute"), LAW)
 
 
-def run_spring(seconds: float, **undeclared: Any) -> ji.Record:
+def run_spring(seconds: float, loop: ClosedLoop = SPRING, **undeclared: Any) -> ji.Record:
     """The record of the flexible axis above, with noise, under a law with more than is declared."""
     truth = {
         "motor_inertia": 1.5, "motor_viscous": 12.0, "motor_coulomb": 14.0, "stiffness": 4e4, "damping": 20.0,
         "load_inertia": 3.0, "load_viscous": 6.0, "load_coulomb": 9.0, "offset": 1.0,
     }  # fmt: skip
-    loop = replace(SPRING, controller=replace(LAW, **undeclared))
+    loop = replace(loop, controller=replace(loop.controller, **undeclared))  # type: ignore[type-var]
     reference = trapezoids((2.0, 3.0), 25.0, 0.8, 1e-3, duration=seconds)
     noise = np.random.default_rng(1).normal(0.0, 0.6, len(reference))
-    return simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise).without("motor_position")
+    return simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise)
 
 
 def test_another_gear_is_said_with_its_ratio_and_an_integral_gain_with_its_time() -> None:
     record = ji.Record(torque=ji.Channel(np.zeros(2), "N m", 1e-3))
-    turns, slides = ji.Transmission(load="revolute", ratio=5.0), ji.Transmission(load="prismatic", lead=0.1)
-    each = (None, "reference_scale", "10:1"), (turns, "law_gain", "50:1"), (slides, "law_gain", "10 mm")
-    for gear, first, size in each:
+    turns, slides = ji.Transmission(load="revolute", ratio=5.0, sign=-1), ji.Transmission(load="prismatic", lead=0.1)
+    for gear, factor, first, size in (
+        *((None, times, "law_gain", f"{times:.1f}:1") for times in (3**0.5, 2.0, 8**0.5)),  # of currents, or twice
+        *((None, times, "reference_scale", ":1") for times in (4.0, 10.0, 50.0)),
+        (None, 0.5, "law_gain", "about 2.0 times too large"),
+        (turns, 10.0, "law_gain", "50:1"),
+        (slides, 10.0, "law_gain", "10 mm"),
+    ):
         joint = FlexibleJoint("revolute" if gear is None else gear.load, transmission=gear)
         case = Case(record, ClosedLoop(joint, LAW), ji.Filtering())
-        said = {one.name: one.words for one in _say_factor(False, 10.0, case)}
+        said = {one.name: one.words for one in _say_factor(False, factor, case)}
         assert next(iter(said)) == first and said["reference_scale"].endswith(size)
     assert "(Tn 30.0 ms)" in next(iter(_say_number("integral_gain", _IS_ABOUT, 1e3 / 30, case))).words
 
 
-LAG, NOTCH = ("torque_filter", 1.5e-3, FirstOrder(1.5e-3)), ("notch", 60.0, Notch(60.0, 84.0, 0.15))
+GEAR = ji.Transmission(load="revolute", ratio=50.0)
+OWN = ClosedLoop(FlexibleJoint("revolute", transmission=GEAR), replace(LAW, ratio=50.0, gain=0.62, velocity_gain=0.283))
 
 
-@pytest.mark.parametrize(("name", "value", "one"), [LAG, NOTCH])
-def test_a_notch_in_the_band_is_told_from_a_lag(name: str, value: float, one: Any) -> None:
-    causes = find_causes(run_spring(4.0, torque_filters=(one,)), SPRING).explanations
-    assert [(one.name, one.value) for one in causes] == [(name, pytest.approx(value, rel=0.03))]
+def _no_gear(one: Any) -> None:
+    log("torque", lambda x: x / 50.0)(one)
+    one.model, one.declared = FlexibleJoint("revolute"), replace(one.declared, ratio=1.0)
+
+
+FIRST: dict[str, tuple[str, tuple[Edit, ...]]] = {  # of 24 mistakes, and of what is none or no record shows
+    "none": ("", ()),
+    "setpoint for actual current": ("", (has(torque_filters=(FirstOrder(5e-5),)),)),
+    "torque constant": ("", (log("torque", lambda x: 1.41 * x), declares(gain=1.41 * 0.62))),
+    "torque filter": ("torque_filter", (has(torque_filters=(FirstOrder(1.5e-3),)),)),
+    "notch": ("notch", (has(torque_filters=(Notch(60.0, 84.0, 0.15),)),)),
+    "dead time": ("delay", (has(delay=1e-3),)),
+    "log late": ("reference_delay", (log("torque", late_by(2)),)),
+    "limit": ("limit", (has(limit=2.4),)),
+    "period": ("period", (has(period=1.25e-4),)),
+    "velocity filter": ("velocity_filter", (has(velocity_filter=FirstOrder(3e-3)),)),
+    "feed-forward": ("velocity_feedforward", (has(velocity_feedforward=1.0),)),
+    "Tn in s": ("integral_gain", (declares(integral_gain=1 / 30),)),
+    "Kp twice": ("law_gain", (declares(velocity_gain=0.566),)),
+    "Kp in N m": ("law_gain", (has(period=1.25e-4), declares(period=1.25e-4, velocity_gain=0.283 / 0.62))),
+    "Kv twice": ("position_gain", (declares(position_gain=40.0),)),
+    "Kv in 1/min": ("position_gain", (declares(position_gain=1200.0),)),
+    "sign": ("torque_sign", (log("torque", np.negative),)),
+    "gear forgotten": ("reference_scale", (_no_gear,)),
+    "ratio 5": ("law_gain", (mistakes.other_ratio,)),
+    "side": ("gear_side", (log("reference", lambda x: x / 50.0),)),
+    "degrees for rad": ("reference_scale", (log("reference", np.degrees),)),
+    "mm for m": ("reference_scale", (log("reference", lambda x: 1e3 * x),)),
+    "sample time": ("sample_time", (slower(0.5),)),
+    "wrong column": ("", (log("torque", lambda x: np.roll(x[::-1], 777)),)),
+    "encoder": ("reference_is_position", (changes(mistakes.give_position_as_reference),)),
+}
+QUICK = ("none", "torque filter", "notch", "Kv in 1/min", "log late")
+
+
+@pytest.mark.parametrize("name", [one if one in QUICK else pytest.param(one, marks=SLOW) for one in FIRST])
+def test_the_first_cause_is_the_mistake(name: str) -> None:
+    first, edits = FIRST[name]
+    one = SimpleNamespace(law=OWN.controller, declared=OWN.controller, model=OWN.joint, edits=[])
+    for edit in edits:
+        edit(one)
+    record = run_spring(8.0, replace(OWN, controller=one.law))
+    for change in one.edits:
+        record = change(record)
+    named, said = tell(without_positions(record), ClosedLoop(one.model, one.declared))
+    assert named[:1] == ((first,) if first else ()), said
+    assert ("rely on it yet" in said) is (first != "" or name == "wrong column")
 
 
 def test_cases_start_again_at_the_joint_of_the_best_case() -> None:
-    case = Case(run_spring(2.5), SPRING, ji.Filtering().resolve(1e-3, "flexible")).at("delay", (1e-3, 2e-3))
+    case = Case(without_positions(run_spring(2.5)), SPRING, ji.Filtering().resolve(1e-3, "flexible")).at(
+        "delay", (1e-3, 2e-3)
+    )
     assert searching._pose(case, SPRING, low=True).filtering.cutoff == pytest.approx(5.0)  # as rigid first
     problem: Any = searching._pose(case, SPRING)
     fit, best = (searching.Fit(case, problem, by * np.ones(len(problem.free))) for by in (1e-3, 2e-3))
@@ -271,24 +313,14 @@ def test_no_step_leads_to_a_mode_that_the_log_cannot_follow(monkeypatch: pytest.
     tried, linearise = list[float](), ClosedLoopProblem.linearise
     note = lambda p, x: tried.append(p.values(x).get("stiffness", 0.0)) or linearise(p, x)  # type: ignore[func-returns-value]  # noqa: E731
     monkeypatch.setattr(ClosedLoopProblem, "linearise", note)
-    assert identify(run_spring(2.5, velocity_feedforward=1.0), SPRING)["stiffness"].value is None
+    assert identify(without_positions(run_spring(2.5, velocity_feedforward=1.0)), SPRING)["stiffness"].value is None
     assert 1e5 < max(tried) < 1e9
 
 
 @pytest.mark.slow
-def test_a_gain_that_hides_the_spring_is_named() -> None:
-    """The spring is refused, the residual is small, and five evaluations of the right cause leave more."""
-    wrong = replace(SPRING, controller=replace(LAW, period=1.25e-4, velocity_gain=1.6 * LAW.velocity_gain))
-    found = ji.identify(run_spring(5.0, period=1.25e-4), wrong)
-    assert found["stiffness"].value is None and found.fit.filtered_error < 0.02
-    (message,) = (one for one in found.checks if one.code is Reason.CAUSE_FOUND)
-    causes: Any = message.values["causes"]
-    assert "law_gain" in [one["cause"] for one in causes] and causes[0]["value"] == pytest.approx(1 / 1.6, rel=0.05)
-
-
-@pytest.mark.slow
 def test_a_gain_that_is_little_off_is_named_only_where_no_test_gives_it() -> None:
-    record, wrong = run_spring(2.5), replace(SPRING, controller=with_numbers(LAW, {"velocity_gain": 434.0 / 1.25}))
+    wrong = replace(SPRING, controller=with_numbers(LAW, {"velocity_gain": 434.0 / 1.25}))
+    record = without_positions(run_spring(2.5))
     found = ji.identify(record, wrong, checks=False)
     refused = replace(found, rows=tuple(replace(row, value=None) for row in found.rows))
     causes = [find_causes(record, wrong, one).explanations for one in (found, refused)]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -112,12 +113,12 @@ def test_a_record_that_begins_in_motion() -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
-    for hertz in ((12.0, None), (None, 12.0)):
-        twin = two(hertz)
-        found = identified(twin, logged(twin))
-        assert_springs(found, twin, 0.02, 3.5)
-        assert inside(found, twin) > 0.8
+@pytest.mark.parametrize(("hertz", "off"), [((12.0, None), 0.02), ((None, 12.0), 0.02), ((12.0, 18.0), 0.05)])
+def test_springs_beside_a_rigid_joint_and_of_motors_that_are_coupled(hertz: Any, off: float) -> None:
+    twin = two(hertz) if None in hertz else changed(two(hertz), *COUPLED)
+    found = identified(twin, logged(twin))
+    assert_springs(found, twin, off, 3.5)
+    assert inside(found, twin) > 0.8
 
 
 @pytest.mark.slow
@@ -129,14 +130,6 @@ def test_friction_that_rises_towards_standstill() -> None:
     for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
         value, deviation = found.value(f"{joint}.stribeck_force")
         assert abs(value - rise) < 3 * deviation < 0.7 * rise  # a third wider for a force in the loop
-
-
-@pytest.mark.slow
-def test_springs_of_motors_that_are_coupled() -> None:
-    twin = changed(two((12.0, 18.0)), *COUPLED)
-    found = identified(twin, logged(twin))
-    assert_springs(found, twin, 0.05, 3.5)
-    assert inside(found, twin) > 0.8
 
 
 @pytest.mark.slow
