@@ -92,6 +92,8 @@ def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, tmp_path:
     with pytest.raises(ji.RecordError):
         write_table(tmp_path / name, table)
     assert not (tmp_path / name).exists()
+    with pytest.raises(ji.RecordError):
+        ji.read(table)  # as of pandas
 
 
 @pytest.mark.parametrize("name", PACKAGES)

@@ -211,8 +211,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     Raises:
         RecordError: the file is missing or cannot be read.
     """
-    path = Path(path)
-    table, of_time = read_table(path, **options), units.units_of("time")
+    table, path, of_time = read_table(path, **options), Path(path), units.units_of("time")
     found, clocks = dict[str, InspectedChannel](), dict[str, InspectedChannel]()
     for name, values in table.columns.items():
         channel = InspectedChannel(name, table.units.get(name) or unit_in_name(name, of_time) or None, values)

@@ -248,8 +248,7 @@ class Record:
 
     def without(self, *names: str) -> Record:
         """Return this record with the named channels removed."""
-        unknown = set(names) - set(CHANNELS)
-        if unknown:
+        if unknown := set(names) - set(CHANNELS):
             raise RecordError(f"No channel is called {', '.join(sorted(unknown))}; there are {', '.join(CHANNELS)}.")
         changes: dict[str, Any] = dict.fromkeys(names)
         return replace(self, **changes)
@@ -263,8 +262,7 @@ class Record:
 
     def require(self, names: tuple[str, ...], method: str) -> None:
         """Refuse a record that lacks channels."""
-        missing = [name for name in names if getattr(self, name) is None]
-        if missing:
+        if missing := [name for name in names if getattr(self, name) is None]:
             raise RecordError(
                 f"{method} needs {' and '.join(missing)}; this record has {', '.join(self.channels)}. "
                 "DIDIM needs only torque and reference; IDIM needs torque and motor_position."

@@ -100,6 +100,7 @@ def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: P
         ("identify", "nothing.toml"),
         ("identify",),
         ("identfy", EMPS),
+        ("data", "inspect", "log.csv"),
         ("identify", EMPS, "--recrod", "x.mat"),
         ("identify", EMPS, "--set", "method.name=magic"),
         ("identify", "log.csv"),
@@ -118,6 +119,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(
     said = capsys.readouterr()
     assert said.out == "" and said.err.startswith("jointid: ")
     assert "Traceback" not in said.err
+    assert "Did you mean" in said.err or words[0] not in ("identfy", "data")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,6 +13,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from difflib import get_close_matches
 from importlib import metadata
 from typing import Any, NoReturn
 
@@ -135,10 +136,12 @@ def _explain(error: BaseException) -> tuple[str, int]:
         options = [name for one in getattr(error, "argument_collection", ()) for name in one.names]
         hint = "A key of the joint file is given by --set. " if "--set" in options else ""
         words, chain = error.unused_tokens or [""], " ".join(("jointid", *(error.command_chain or ())))
+        known, said = [one for one in app if not one.startswith("-")], f"{error} {hint}See {chain} --help."
         if chain == "jointid" and "." in words[0]:
-            verb = "identify" if words[0].endswith(".toml") else "inspect"
-            return f"For this file: jointid {verb} {words[0]}.", USERS_MISTAKE
-        return f"{error} {hint}See {chain} --help.", USERS_MISTAKE
+            said = f"For this file: jointid {'identify' if words[0].endswith('.toml') else 'inspect'} {words[0]}."
+        elif chain == "jointid" and (meant := [*({*words} & {*known}), *get_close_matches(words[0], known)]):
+            said = f'Did you mean {meant[0]}? See jointid {meant[0]} --help. There is no command "{words[0]}".'
+        return said, USERS_MISTAKE
     if isinstance(error, OSError) and error.filename:
         return f"{error.filename} cannot be used ({error.strerror}); name another file.", USERS_MISTAKE
     return (

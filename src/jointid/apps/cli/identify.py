@@ -104,8 +104,7 @@ def tune(
     """
     from jointid import tune as run
 
-    file = options.load(joint, alone=True, method="didim")
-    _, estimate = options.identify(file)
+    _, estimate = options.identify(options.load(joint, alone=True, method="didim"))
     tuned = run(estimate, progress=options.progress, gain_margin=gain_margin, phase_margin=phase_margin, notch=notch)
     deliver(tuned, options.json)
 

@@ -76,8 +76,7 @@ def design(
     found = file.lay_out(found)
     deliver(found, options.json)
     if out is not None:
-        paths = found.write(out)
-        show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
+        show(f"\nWritten to {out}: {', '.join(path.name for path in found.write(out))}")
 
 
 def _plan_robot(file: File, options: Options, asked: dict[str, Any]) -> Design:
@@ -204,5 +203,4 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     require_room(out)
     ready(listen(quiet))
     report = report_reproduction(run(seed, listen(quiet)), lambda answer: render(torque(answer), "png", 100))
-    written = save(report, out, "reproduction")
-    show(f"Written: {', '.join(map(str, written))}")
+    show(f"Written: {', '.join(map(str, save(report, out, 'reproduction')))}")

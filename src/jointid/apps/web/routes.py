@@ -197,8 +197,7 @@ async def take_record(request: Request) -> Response:
         await work(fresh.path, folder.READING, "_log.txt", "preview")
         if not files:  # entries for records with the same columns are reused
             columns, before = (one.json("_columns.json") for one in (fresh, page.now))
-            same = columns["names"] == before.get("names") and not page.now.robot
-            known = page.now.texts if same else {}
+            known = page.now.texts if columns["names"] == before.get("names") and not page.now.robot else {}
             fresh.enter((known or form.show_tables(columns["tables"])) | options)
     return page.redirect("/joint" if page.now.robot else "/channels")
 

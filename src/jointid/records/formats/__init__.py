@@ -60,8 +60,11 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
     """Return the format for a suffix or a folder.
 
     Raises:
-        RecordError: the suffix, or an option for the format, is unknown.
+        RecordError: the suffix, or an option for the format, is unknown, or the path is none.
     """
+    if not hasattr(path, "__fspath__") and str not in type(path).__mro__:
+        given = type(path).__name__
+        raise RecordError(f"Give the path of a record, not a {given}; arrays make ji.Record(torque=ji.Channel(...)).")
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
     packed, suffix = path.suffix.lower() == ".gz", Path(path.name.lower().removesuffix(".gz")).suffix
@@ -89,7 +92,7 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     Raises:
         RecordError: the file is missing or cannot be read.
     """
-    path, reader = Path(path), format_of(path, **options)
+    reader, path = format_of(path, **options), Path(path)
     with _explain_failure(path, reader):
         if reader.read is not None:
             return reader.read(path).require_numbers()
@@ -105,7 +108,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     Raises:
         RecordError: see `read_table`; or the format has no consecutive rows.
     """
-    path, reader = Path(path), format_of(path, **options)
+    reader, path = format_of(path, **options), Path(path)
     if reader.blocks is None:
         streamed = ", ".join(entry.name for entry in FORMATS if entry.blocks is not None)
         raise RecordError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
