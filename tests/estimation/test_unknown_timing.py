@@ -109,6 +109,10 @@ def test_one_sine_covers_both_readings_and_says_so():
     assert any("held or sampled" in one for one in found.warnings)
     assert abs(found["viscous"].value - TRUE["viscous"]) <= 2 * found["viscous"].stderr
     assert 0.3 * half < found["viscous"].stderr < 3 * half
+    joint, value = found.settings.joint, found["viscous"].value
+    for bound in {"upper": value - 0.1 * half}, {"lower": value + 0.1 * half}:  # midway lies beyond one of them
+        kept = ji.identify(_sine(), joint, parameters={"viscous": replace(joint.parameters[1], **bound)}, checks=False)
+        assert [kept["viscous"].at_bound] == [*bound.values()]
 
 
 def test_intervals_are_not_wider_than_the_timing_asks():

@@ -27,8 +27,7 @@ def test_didim_of_two_logs_knows_more_than_of_either() -> None:
     first, second, summed = (np.sum(fit.problem.weigh(fit.slopes) ** 2, axis=0) for fit in (one, other, both))
     assert summed == pytest.approx(first + second, rel=0.15)  # by shared weights a fifth at most
     assert both.relative_error == pytest.approx(np.hypot(one.relative_error, other.relative_error) / 2**0.5, rel=0.2)
-    nominal = ji.identify(LOGS, LOOP, checks=False).fit.nominal_errors
-    assert max(nominal.values()) < 0.01  # the twin's own masses, along both logs
+    assert max(ji.identify(LOGS, LOOP, checks=False).fit.nominal_errors.values()) < 0.01  # of the twin's own masses
 
 
 @pytest.mark.parametrize("estimator", ["weighted", "iv"])

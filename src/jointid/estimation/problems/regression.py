@@ -1,9 +1,9 @@
 """Linear regressions of stacked equations: ordinary or weighted least squares, or instruments.
 
 **A torque of unstated timing** is one held from its stamp, or one sampled at it, half a sample earlier, which moves
-friction and inertia. The residual is linear between both readings, which determines the reading of least power,
-between or beyond them. The nearer reading is taken. Each interval is widened by the change of its parameter up to
-the least power, and by two deviations of its place.
+friction and inertia. The rows are solved once, midway; their change between both readings is one more column, which
+determines the reading of least power, between or beyond them. The nearer reading is taken. Each interval is widened by
+the change of its parameter up to the least power, and by two deviations of its place.
 
 **Weights.** The errors of a robot's joints differ in size by powers of ten from base to wrist, and those of several
 records may. Each joint's rows of a record are divided by the size of their own error, until that settles [Gautier 1997,
@@ -133,7 +133,7 @@ def solve_rows(
     """Solve for all parameters, some fixed or held by a bound.
 
     Unless an inertia is below 0, the parameter that violates a bound most, in deviations, is held there, and the rest
-    solved again. A torque of unstated timing is read in both ways.
+    solved again.
 
     `known` has values and bounds by name, `instruments` are for "iv" only, and `turns` limits the turns of weights.
 
@@ -145,14 +145,14 @@ def solve_rows(
             'The estimator "iv" simulates the loop for its instruments; expected the controller of each joint: '
             "give it, or use another estimator."
         )
-    if rows.early is not None:
-        readings = (replace(rows, Y=Y, early=None) for Y in (rows.Y, rows.Y + rows.early))
-        return _read_timing(*(solve_rows(one, estimator, known, instruments, turns) for one in readings))
+    early = rows.early
+    rows = rows if early is None else replace(rows, Y=rows.Y + 0.5 * early, early=None)
     stated = [known.get(name) or Parameter(name, name, Quantity.RATIO) for name in rows.names]
     fixed = {name: p.start or 0.0 for name, p in zip(rows.names, stated, strict=True) if not p.free}
     held, made, bounds = dict[str, float](), 0, Bounds.of(stated)
     while True:
         found = _settle(rows, estimator, fixed | held, instruments, turns)
+        found = found if early is None else _read_timing(found, early)
         made += found.turns
         values = found.values
         there = np.where(np.isin(np.arange(values.size), found.free), bounds.clip(values), values)
@@ -214,26 +214,25 @@ def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
     return np.repeat(np.resize(sizes[: rows.driven], sizes.shape), series, axis=1).ravel()
 
 
-def _read_timing(held: Solution, sampled: Solution) -> Solution:
-    """Choose the held or sampled torque, and widen for remaining doubt."""
-    each = (np.array([held.residual, sampled.residual]) / held.scale).reshape(2, held.rows.driven, -1)
-    power = np.min(np.mean(each**2, axis=2), axis=0)  # of each equation, in units of which the noise is 1; or rounding
-    each /= np.sqrt(np.maximum(power, 1e-24 * np.mean((held.rows.Y / held.scale) ** 2)))[:, np.newaxis]
-    change = each[1] - each[0]
-    size = float(np.sum(change**2))
-    timing, away, where = Timing.HELD, 1.0, "the other reading is as possible"  # half samples that are open
-    if size > 1e-6:  # of the noise: a change of less power is rounding
-        best, spread = -float(np.sum(each[0] * change)) / size, 4.0 / np.sqrt(size)  # neighbours are alike
-        best = float(np.clip(best, -8.0, 8.0))  # half samples: beyond, the residual is no straight line
-        late = abs(best - 1.0) < abs(best)
+def _read_timing(midway: Solution, early: FloatArray) -> Solution:
+    """Choose the held or sampled torque, half a change from midway, and widen for remaining doubt."""
+    rows, free, by = midway.rows, midway.free, np.zeros(midway.values.size)
+    left = replace(rows, Y=early, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
+    by[free] = _solve(left, midway.scale, midway.instruments)
+    residual, change = midway.residual / midway.scale, (early - rows.W @ by) / midway.scale
+    size, timing, away, where = float(change @ change), Timing.HELD, 1.0, "the other reading is as possible"
+    best = -float(residual @ change) / max(size, np.finfo(float).tiny)
+    noise = max(float(np.mean((residual + best * change) ** 2)), 1e-24 * float(np.mean((rows.Y / midway.scale) ** 2)))
+    if size > 1e-6 * noise:  # a change of less power is rounding
+        spread, best = 4.0 * np.sqrt(noise / size), float(np.clip(best + 0.5, -8.0, 8.0))  # neighbours are alike
+        late = best > 0.5  # half samples: far beyond both readings the residual is no straight line
         timing, away = Timing.SAMPLED if late else Timing.HELD, abs(best - late) + min(spread, 1.0)
-        where = (
-            f"the record puts it {number(0.5 * best, 2)} ± {number(0.5 * spread, 2)} samples before held (sampled is "
-            "0.5, averaged 1)"
-        )
+        place = f"{number(0.5 * best, 2)} ± {number(0.5 * spread, 2)} samples before held"
+        where = f"the record puts it {place} (sampled is 0.5, averaged 1)"
     said = (
         f"it is not stated whether the torque is held or sampled: it is read as {timing}, and {where}; the intervals "
         "cover that; state timing of its channel"
     )
-    by = 0.5 * away * np.abs(sampled.values - held.values)
-    return replace(sampled if timing is Timing.SAMPLED else held, further=by, timing=timing, said=(said,))
+    shift = 0.5 if timing is Timing.SAMPLED else -0.5
+    rows, values, further = replace(rows, Y=rows.Y + shift * early), midway.values + shift * by, 0.5 * away * np.abs(by)
+    return replace(midway, rows=rows, values=values, further=further, timing=timing, said=(said,))
