@@ -228,4 +228,4 @@ def test_what_is_not_excluded_widens_the_intervals() -> None:
 
     wide = {"stiffness": -20.0, "damping": 0.1}
     assert widened(suspected=(found,)) == widened(replace(number, law=law)) == widened(number, repeats=True) == wide
-    assert widened(number) == widened() == {}
+    assert widened(number) == {"damping": 0.1} and widened() == {}  # the stiffness is not relied on

@@ -367,16 +367,16 @@ def expect_size(size: float, std: float, half: float) -> float:
 def widen_for_faults(axis: AxisDiagnosis, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
     """Yield parameter shifts by faults that a diagnosis found or suspects.
 
-    A number of loop or log that moves a parameter by more than a thousandth widens no interval: it is corrected, or the
-    joint has the same effect. Another law widens it, and so does a number beside a residual that repeats.
+    A number of loop or log that moves a parameter so much that it is not relied on widens no interval: it is corrected.
+    Another law widens it, and so does a number beside a residual that repeats.
     """
     for finding in axis.faults.findings:
         moved = {name: change.by for name, change in finding.changes.items()}
         if not (finding.test.fault.mechanical or finding.law is not None or axis.repeats):
             moved = {
-                name: 0.5 * by
+                name: by
                 for name, by in moved.items()
-                if abs(finding.changes[name].sigmas) > INTERVAL and abs(by) < SLIGHT * abs(rows[name].value or 0.0)
+                if abs(finding.changes[name].sigmas) <= INTERVAL or abs(by) < SLIGHT * abs(rows[name].value or 0.0)
             }
         yield moved, ""
     for suspect in axis.faults.suspected:

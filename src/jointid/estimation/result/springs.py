@@ -35,7 +35,7 @@ from jointid.estimation.force_in_loop import simulate_mean, widen_for_force
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import POOR_FIT, Check, Reason, StiffnessBound, Subject, check_of, springs_checks
-from jointid.estimation.spring_search import DAMPED, FASTEST, crossover, damping_ratio, divide, frequency_of
+from jointid.estimation.spring_search import DAMPED, FASTEST, LITTLE, crossover, damping_ratio, divide, frequency_of
 from jointid.models.joints import of_whole, split_by_mode
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.plant import Numbers
@@ -335,15 +335,17 @@ def profile_modes(
     assert cutoff is not None
     # Modes above the fitted band show on a wider one.
     band = Filtering(cutoff=max(0.15 / sample_time, cutoff)).resolve(sample_time, "flexible")
-    high = 6.0 * cutoff
-    low = min(0.5 * crossover(law, rigid["inertia"]), 0.5 * high)
+    low, high = min(0.5 * crossover(law, rigid["inertia"]), 3.0 * cutoff), 6.0 * cutoff
     start = divide(problem.parameters, rigid, 1.0)
     start |= {"inertia": rigid["inertia"], "ratio": DAMPED, "share": _SHARE, "mode": high}
     free = {p.name: replace(p, free=True) for p in problem.parameters if p.name in _SPRING}
     made = ModeProfile(problem.with_log(filtering=band).replace_parameters(free), (low, high))
     made.stiff = last = made.fit(start, _HELD, share=_SHARE, mode=high)
+    whole = found["motor_inertia"] + found["load_inertia"]
+    if made.stiff.cost > (LITTLE * made.problem.size) ** 2:  # there may be a mode far inside the bandwidth
+        made.room = min(0.15 * crossover(law, max(rigid["inertia"], whole)), low), high
     made.threshold = _compute_cost_limit(made)
-    for mode in np.geomspace(high, low, 10)[1:]:
+    for mode in np.geomspace(high, made.room[0], 10)[1:]:
         last = made.fit({**last.at, "ratio": max(last.at["ratio"], DAMPED)}, _HELD, mode=float(mode))
         made.points.append(last)
         if last.cost > 2 * made.stiff.cost:
@@ -353,12 +355,10 @@ def profile_modes(
     dips = [made.points[i - 1] for i in range(1, len(least) - 1) if least[i] < min(least[i - 1], least[i + 1], near)]
     ends = [made.fit(point.at, _FREE) for point in dips]
     for point in dips if thorough else ():
-        beside = {**point.at, "ratio": DAMPED, "share": 0.4 if point.at["share"] < 0.25 else 0.1}
-        ends.append(made.fit(beside, _SEEK))
-    whole = found["motor_inertia"] + found["load_inertia"]
+        ends.append(made.fit({**point.at, "ratio": DAMPED, "share": 0.4 if point.at["share"] < 0.25 else 0.1}, _SEEK))
     ratio = min(damping_ratio(found), MOST_DAMPED)
     own = {"inertia": whole, "ratio": ratio, "share": found["load_inertia"] / whole, "mode": frequency_of(found)}
-    if low < own["mode"] < high:
+    if made.room[0] < own["mode"] < high:
         ends.append(made.fit({**start, **found, **own}, _FREE))
     for end in sorted(ends, key=lambda end: end.cost):
         same = (abs(end.mode / one.mode - 1) + abs(end.at["share"] / one.at["share"] - 1) for one in made.minima)
