@@ -1,35 +1,20 @@
-"""The sampled loop and its margins, against eigenvalues and against responses of few points."""
+"""The sampled loop and its margins, against eigenvalues, python-control and responses of few points."""
 
 import math
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
-from jointid.models.controllers import Cascade, FirstOrder, Notch, SampledLaw
-from jointid.models.controllers.sampled import scale
+from jointid.models.controllers import Cascade, Notch, SampledLaw
+from jointid.models.controllers.sampled import POSITION, scale
 from jointid.models.friction import Friction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import LinearJoints, SampledDrive, discretise, linear_joints
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.tuning.margins import NAMES, Margins, all_margins, joint_set, spectral_radius
 from studies.margins import random_drive
-
-SERVO = Cascade(
-    position_gain=80.0,
-    velocity_gain=8557.0,
-    integral_gain=40.0,
-    velocity_filter=FirstOrder(0.5e-3),
-    velocity_feedforward=1.0,
-    acceleration_feedforward=60.0,
-    torque_filters=(Notch(180.0, 60.0, 0.1),),
-    limit=1000.0,
-    period=125e-6,
-    position_period=1e-3,
-    delay=125e-6,
-    interpolation="linear",
-)
-"""A servo drive of today, whose velocity loop runs every 125 us."""
 
 PERIOD = 1e-3
 
@@ -59,6 +44,23 @@ def test_a_loop_becomes_unstable_where_its_margins_say(seed: int) -> None:
     assert not stable(replace(law, delay=law.delay + 1.04 * margins.delay))
 
 
+@pytest.mark.filterwarnings("ignore:stability_margins. Falling back")
+def test_margins_are_those_of_python_control() -> None:
+    notched = replace(CONTROLLERS["L19"], integral_gain=20.0, torque_filters=(Notch(31.0, 15.0, 0.2),))
+    law = notched.law(PERIOD)
+    joint, values = FlexibleJoint("prismatic"), dict(TABLE_2)
+    found = Margins(*joint_set(joint, [values], law).margins(law)[0])
+    linear, (feedback, _) = linear_joints(joint, [values]), law.split()
+    plant = control.ss(linear.A[0], linear.B[0][:, np.newaxis], np.eye(len(linear.A[0]))[:1], 0)
+    chosen = feedback.B[0][:, [POSITION]], feedback.C[0][[law.output]], feedback.D[0][[law.output]][:, [POSITION]]
+    loop = -control.ss(feedback.A[0], *chosen, PERIOD) * control.sample_system(plant, PERIOD, "zoh")
+    gains, phases, distances, _, rates, _ = control.stability_margins(loop, returnall=True)
+    assert found.gain == pytest.approx(min(gains[gains > 1]), rel=3e-3)
+    assert math.degrees(found.phase) == pytest.approx(min(abs(phases)), rel=3e-3)
+    assert found.modulus == pytest.approx(min(distances), rel=3e-3)
+    assert found.delay == pytest.approx(min(np.radians(phases % 360) / rates), rel=3e-3)
+
+
 def test_a_loop_that_is_not_stable_has_no_margins() -> None:
     law = scale(CONTROLLERS["L19"].law(PERIOD), 20.0)
     found = Margins(*joint_set(FlexibleJoint("prismatic"), [dict(TABLE_2)], law).margins(law)[0])
@@ -67,7 +69,7 @@ def test_a_loop_that_is_not_stable_has_no_margins() -> None:
 
 
 def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
-    law = SERVO.law(PERIOD)
+    law = replace(CONTROLLERS["L19"], integral_gain=40.0, period=125e-6, position_period=1e-3).law(PERIOD)
     assert law.phases == 8
     linear = linear_joints(FlexibleJoint("prismatic"), [dict(TABLE_2)])
     gain = Margins(*joint_set(FlexibleJoint("prismatic"), [dict(TABLE_2)], law).margins(law)[0]).gain
@@ -80,14 +82,8 @@ def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:
     joint = RigidJoint("prismatic", friction=Friction("asymmetric"))
     law = Cascade(position_gain=50.0, velocity_gain=2e4).law(PERIOD)
     both = joint_set(joint, [{"inertia": 100.0, "offset": 0.0} | ways], law).margins(law)
-    each = [
-        joint_set(
-            RigidJoint("prismatic"),
-            [{"inertia": 100.0, "viscous": ways[f"viscous_{way}"], "coulomb": 0.0, "offset": 0.0}],
-            law,
-        )
-        for way in ("forwards", "backwards")
-    ]
+    alone = [{"inertia": 100.0, "viscous": viscous, "coulomb": 0.0, "offset": 0.0} for viscous in (50.0, 4000.0)]
+    each = [joint_set(RigidJoint("prismatic"), [values], law) for values in alone]
     np.testing.assert_allclose(both[0], np.min([one.margins(law)[0] for one in each], axis=0), rtol=3e-3)
 
 

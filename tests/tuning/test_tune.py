@@ -67,9 +67,7 @@ def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estima
     ).law(PERIOD)
     nominal = joint_set(estimate.settings.joint, [estimate.values], faster).margins(faster)[0]
     assert np.any(nominal < asked.asked)
-    assert (
-        controller.position_gain * controller.velocity_gain > 1.2 * 160.18 * 243.45
-    )  # stiffer than it was, and with more phase
+    assert controller.position_gain * controller.velocity_gain > 1.2 * 160.18 * 243.45  # stiffer, and with more phase
 
 
 def test_a_controller_in_ampere_is_told_in_ampere() -> None:
