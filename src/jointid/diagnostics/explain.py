@@ -243,9 +243,9 @@ def find_causes(
         begin = Fit(declared, posed, posed.vector(solved))  # a joint that is nearly right
     known = [] if begin is None else [_list_flexible_starts(replace(begin, case=one), begin) for one in tried]
     fits = _race(known or [_list_rigid_starts(one) for one in tried], 0.0 if known else _ROUGHLY * flexible)
-    if flexible and not known:
+    if flexible:
         near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
-        fits = _race([_list_flexible_starts(one) for one in near])
+        fits = near if known else _race([_list_flexible_starts(one) for one in near])
         fits = sorted([*fits, *_race([_list_flexible_starts(one, fits[0]) for one in fits])], key=lambda one: one.error)
     as_declared = [fit for fit in fits if fit.case.change is None]
     left = min((left, *(fit.error for fit in as_declared)))
