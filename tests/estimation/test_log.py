@@ -258,7 +258,7 @@ def test_a_log_is_identified_in_windows_by_the_command(tmp_path: Path, capsys: p
     joint, out = tmp_path / "joint.toml", tmp_path / "out.json"
     stored(tmp_path / "day.csv", rigid(80.0))
     joint.write_text(JOINT.replace('"run.npy"', '"day.csv"\nsample_time = 0.001'), encoding="utf-8")
-    assert run("identify", joint, "--window", 4, "--json", out, "--debug") == 0
+    assert run("identify", joint, "--window", 4, "--json", out, "--details", "--debug") == 0
     assert "20 of 4 s" in capsys.readouterr().out
     assert json.loads(out.read_text(encoding="utf-8"))["parameters"]["inertia"]["value"] == pytest.approx(30.0, abs=0.5)
     assert run("compare", out, out) == 0

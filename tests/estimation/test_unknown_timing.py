@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.estimation.problems.regression import Rows, solve_rows
 from studies.unknown_timing import ARM, TRUE, logged
 from tests.robots_plants import two
 
@@ -33,6 +34,14 @@ def test_intervals_of_a_robot_hold_the_truth():
             inside += [*(away <= 2 * found.covariance_of(part.names).std)]
             assert any("held or sampled" in one for one in found.warnings)
     assert np.mean(inside) >= 0.85
+
+
+def test_weights_are_those_of_the_noise_beside_the_change_of_reading():
+    W, rng = np.random.default_rng(1).standard_normal((800, 2)), np.random.default_rng(2)
+    early = np.r_[rng.standard_normal(400) + W[:400, 0], np.zeros(400)]
+    Y = W @ [1.0, 2.0] + np.repeat([0.01, 0.3], 400) * rng.standard_normal(800)
+    found = solve_rows(Rows(Y, W, ("a", "b"), 2, 2, (), early), "weighted", {})
+    assert found.covariance.std[1] < 1e-3  # 0.017 by the residual midway, which contains half of the change
 
 
 @pytest.mark.parametrize("samples", [2, -3])

@@ -82,7 +82,8 @@ def _refuse_windows(log: Sequence[Any], model: Any, method: Method | None, sever
         )
     joints = [one.model for one in model.robot.joints] if hasattr(model, "robot") else [model.joint]
     computed = "motor_position" in getattr(method, "outputs", ()) or any(getattr(one, "computed", False) for one in log)
-    named = [getattr(one, "columns", None) or getattr(one, "record", one).channels for one in log]
+    known = [one for one in log if getattr(one, "columns", True) and "drive" not in getattr(one, "settings", ())]
+    named = [getattr(one, "columns", None) or getattr(one, "record", one).channels for one in known]
     if hasattr(model, "robot") and (computed or any("torque" not in names for names in named)):
         return "Windows of a robot reproduce logged torques, not motor positions: log them, or leave windows out."
     if drifting := next((joint.friction.name for joint in joints if "drifting" in joint.friction.name), ""):
@@ -180,11 +181,7 @@ def _fit_robot(
     record: Any, model: Any, method: Method, filtering: Filtering, known: Mapping[str, Parameter],
     windows: float | None, progress: Progress,
 ) -> Estimate:  # fmt: skip
-    """Fit a robot to its joints' records, of one log or several.
-
-    Raises:
-        RecordError, MethodError: records, model and method do not belong together.
-    """
+    """Fit a robot to its joints' records, of one log or several."""
     robot: Robot = model.robot
     require_friction(robot, known)
     logs = () if record and not any(isinstance(one, Record | Sequence) for one in record) else each_log(record)

@@ -145,14 +145,13 @@ def solve_rows(
             'The estimator "iv" simulates the loop for its instruments; expected the controller of each joint: '
             "give it, or use another estimator."
         )
-    early = rows.early
-    rows = rows if early is None else replace(rows, Y=rows.Y + 0.5 * early, early=None)
+    rows = rows if rows.early is None else replace(rows, Y=rows.Y + 0.5 * rows.early)
     stated = [known.get(name) or Parameter(name, name, Quantity.RATIO) for name in rows.names]
     fixed = {name: p.start or 0.0 for name, p in zip(rows.names, stated, strict=True) if not p.free}
     held, made, bounds = dict[str, float](), 0, Bounds.of(stated)
     while True:
         found = _settle(rows, estimator, fixed | held, instruments, turns)
-        found = found if early is None else _read_timing(found, early)
+        found = found if rows.early is None else _read_timing(found, rows.early)
         made += found.turns
         values = found.values
         there = np.where(np.isin(np.arange(values.size), found.free), bounds.clip(values), values)
@@ -184,7 +183,8 @@ def _settle(
         found = replace(found, turns=0, converged=False)
         while found.turns < (turns if make is None else 25) and not found.converged:
             Z, before = None if make is None else make(found.values)[:, free], found.values
-            scale, values = _scale(rows, found.residual), before.copy()
+            beside = found.residual if rows.early is None else found.scale * _split_timing(found, rows.early)[-1]
+            scale, values = _scale(rows, beside), before.copy()
             values[free] = _solve(left, scale, Z)
             close = 1e-8 * np.abs(before[free])  # relative: values that change by less with new weights have settled
             if Z is not None:
@@ -214,15 +214,22 @@ def _scale(rows: Rows, residual: FloatArray) -> FloatArray:
     return np.repeat(np.resize(sizes[: rows.driven], sizes.shape), series, axis=1).ravel()
 
 
-def _read_timing(midway: Solution, early: FloatArray) -> Solution:
-    """Choose the held or sampled torque, half a change from midway, and widen for remaining doubt."""
+def _split_timing(midway: Solution, early: FloatArray) -> tuple[FloatArray, float, float, FloatArray]:
+    """Shift of the values by the change of reading, its squared residual, how much fits, and the scaled rest."""
     rows, free, by = midway.rows, midway.free, np.zeros(midway.values.size)
     left = replace(rows, Y=early, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
     by[free] = _solve(left, midway.scale, midway.instruments)
     residual, change = midway.residual / midway.scale, (early - rows.W @ by) / midway.scale
-    size, timing, away, where = float(change @ change), Timing.HELD, 1.0, "the other reading is as possible"
+    size = float(change @ change)
     best = -float(residual @ change) / max(size, np.finfo(float).tiny)
-    noise = max(float(np.mean((residual + best * change) ** 2)), 1e-24 * float(np.mean((rows.Y / midway.scale) ** 2)))
+    return by, size, best, residual + best * change
+
+
+def _read_timing(midway: Solution, early: FloatArray) -> Solution:
+    """Choose the held or sampled torque, half a change from midway, and widen for remaining doubt."""
+    rows, (by, size, best, rest) = midway.rows, _split_timing(midway, early)
+    timing, away, where = Timing.HELD, 1.0, "the other reading is as possible"
+    noise = max(float(np.mean(rest**2)), 1e-24 * float(np.mean((rows.Y / midway.scale) ** 2)))
     if size > 1e-6 * noise:  # a change of less power is rounding
         spread, best = 4.0 * np.sqrt(noise / size), float(np.clip(best + 0.5, -8.0, 8.0))  # neighbours are alike
         late = best > 0.5  # half samples: far beyond both readings the residual is no straight line
@@ -234,5 +241,5 @@ def _read_timing(midway: Solution, early: FloatArray) -> Solution:
         "cover that; state timing of its channel"
     )
     shift = 0.5 if timing is Timing.SAMPLED else -0.5
-    rows, values, further = replace(rows, Y=rows.Y + shift * early), midway.values + shift * by, 0.5 * away * np.abs(by)
-    return replace(midway, rows=rows, values=values, further=further, timing=timing, said=(said,))
+    read, values = replace(rows, Y=rows.Y + shift * early, early=None), midway.values + shift * by
+    return replace(midway, rows=read, values=values, further=0.5 * away * np.abs(by), timing=timing, said=(said,))

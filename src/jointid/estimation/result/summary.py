@@ -33,13 +33,7 @@ _KNOWN = 1.0  # relative standard error: a robot's parameter that is known worse
 
 
 def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
-    """Return an estimate as a document.
-
-    Args:
-        estimate: of one record, of several, of a long log, or of a robot.
-        details: whether to show every check with all its statements, effort and settings, that of the loop first; else
-            the tables and three lines: what to do next, what the record does not tell, and where the rest is.
-    """
+    """Return an estimate as a document: tables and the lines beside them, or every check, effort and settings."""
     tables = tuple(_tables(estimate, details=details))
     if not details:
         return Document(estimate.sentence, (*tables, Facts(tuple(_lines(estimate)))))
@@ -61,8 +55,9 @@ def _lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
     if {trust.code, *reasons[:1]} & {*unseen, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES}:
         yield "next", "record a motion that shows it: jointid design plans one"
     elif wrong:
-        remedy = wrong[0].values.get("remedy") or "correct what jointid diagnose finds"
-        yield "next", f"{remedy}, and identify again"
+        yield "next", f"{wrong[0].values.get('remedy') or 'correct what the first line names'}, and identify again"
+    elif estimate.motion_measured:  # another record has the same bias
+        yield "next", "give its controller, and identify by DIDIM"
     else:
         yield "next", "see whether it predicts another record: jointid validate"
     of_trust = (Subject.SOLVER, Subject.FIT, Subject.WHITENESS)  # which limit no value
