@@ -88,7 +88,7 @@ class AxisTorques:
         white = whiteness(left[self.seen[axis]] if rest is None else left, self.sample_time, self.cutoff)
         power = np.abs(np.fft.rfft(left)) ** 2
         top = int(np.argmax(power))
-        most = 2.0 * np.sum(power[math.floor(0.9 * top) : math.ceil(1.1 * top) + 1]) > np.sum(power)
+        most = top >= 10 and 2.0 * np.sum(power[math.floor(0.9 * top) : math.ceil(1.1 * top) + 1]) > np.sum(power)
         return float(np.linalg.norm(left)) / whole, white, top / (left.size * self.sample_time) if most else None
 
     def stack(self, each: FloatArray) -> FloatArray:

@@ -361,7 +361,7 @@ def expect_size(size: float, std: float, half: float) -> float:
     size, error, usual = max(size, 0.0), std**2 or np.finfo(float).tiny, 2.0 * half**2
     kept = usual / (usual + error)
     none = math.exp(-0.5 * kept * size**2 / error) * math.sqrt(1.0 + usual / error)  # how likely, beside an element
-    return math.sqrt(((kept * size) ** 2 + kept * error) / (1.0 + none))
+    return min(math.sqrt(((kept * size) ** 2 + kept * error) / (1.0 + none)), 2.0 * half)
 
 
 def widen_for_faults(axis: AxisDiagnosis, rows: Mapping[str, EstimatedParameter]) -> Iterator[Widening]:
@@ -371,13 +371,12 @@ def widen_for_faults(axis: AxisDiagnosis, rows: Mapping[str, EstimatedParameter]
     Another law widens it, and so does a number beside a residual that repeats.
     """
     for finding in axis.faults.findings:
-        moved = {name: change.by for name, change in finding.changes.items()}
-        if not (finding.test.fault.mechanical or finding.law is not None or axis.repeats):
-            moved = {
-                name: by
-                for name, by in moved.items()
-                if abs(finding.changes[name].sigmas) <= INTERVAL or abs(by) < SLIGHT * abs(rows[name].value or 0.0)
-            }
+        every = finding.test.fault.mechanical or finding.law is not None or axis.repeats
+        moved = {
+            name: change.by
+            for name, change in finding.changes.items()
+            if every or abs(change.sigmas) <= INTERVAL or abs(change.by) < SLIGHT * abs(rows[name].value or 0.0)
+        }
         yield moved, ""
     for suspect in axis.faults.suspected:
         what = f"what looks like a {suspect.test.fault.title} (p = {number(suspect.test.p_value, 2)})"

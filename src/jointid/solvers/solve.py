@@ -175,7 +175,7 @@ def solve(
         kink = _find_kink((error, J), step, after) if crossed else None
         if kink is not None:
             to, along = kink[2] * step, damped_step(*kink[:2], room, 0.0, widths)
-            if _gain(norm, error + J @ along) <= solver.tolerance:
+            if _gain(norm, error + J @ along) <= solver.tolerance and np.all(np.abs(along) < _CUT * reach):
                 status = Status.KINK
                 break
             step = to + min(_HARDER / damping, 1.0) * (along - to)

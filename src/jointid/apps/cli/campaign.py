@@ -58,7 +58,7 @@ def campaign(
     if asked.left_out:
         listener(asked.left_out)
     with open_store(kept, again=again) as store:
-        ready(listener, loads(asked.cases[0].joint_file, changes=asked.cases[0].settings))
+        ready(listener, loads((first := asked.cases[0]).joint_file, changes=(*first.settings, *first.changes)))
         made = run_cases(asked.cases, engine, store, progress=listener)
         rows = store.rows_of(case.content_hash for case in asked.cases)
     found = CampaignReport(asked.name, rows, false_alarm)

@@ -178,7 +178,7 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     torque = Text("Torque", "heading"), _picture(given, figures, "torque")
     yield from torque if estimate.robot is not None else ()  # whose joints are seen first
     yield Text("Parameters", "heading")
-    yield from _part(estimate)
+    yield from [*_part(estimate)][:-1]  # the last block has hints of the command
     if tuned is not None:
         yield Text("Tuning", "heading")
         yield Text(tuned.sentence)
