@@ -119,7 +119,7 @@ def test_emps_end_to_end(visit: Visit, emps_path: Path, tmp_path: Path) -> None:
     page.wait_for_selector("p.found", timeout=PATIENCE)
     assert "is being written" in page.inner_text("[data-poll]")  # the answer does not wait for the report
     page.wait_for_selector("iframe", timeout=PATIENCE)
-    assert page.inner_text("p.found") == "Inertia 95.4 ± 1.8 kg."  # with its checks, which widen it
+    assert page.inner_text("p.found") == "Inertia 95.4 ± 1.3 kg."
     assert "ely on it" in page.inner_text("p.trust")
     visit.looked_at("5-answer")
     frame = page.frame_locator("iframe")
