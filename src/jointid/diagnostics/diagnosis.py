@@ -200,7 +200,7 @@ class Diagnosis(Documented):
         return self.sentences[0] if self.sentences else f"Nothing is wrong with {self.name}."
 
     def to_document(self, *, details: bool = False) -> Document:
-        """What else was found, a table of the axes, and comparisons of laws; only symptoms are listed in detail."""
+        """The diagnosis as a document: further findings, a table of the axes, and comparisons of laws."""
         said, others = self.sentence, list[str]()
         for one in map(sentence, (*map(str, self.symptoms), *(() if details else self.sentences))):
             if one[1:-1] not in said:

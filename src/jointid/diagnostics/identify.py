@@ -324,7 +324,7 @@ def widen_for_undeclared(fit: Estimate, found: Diagnosis) -> Iterator[Widening]:
 
 
 def _lose(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[tuple[Element, FloatArray]]:
-    """Yield a loss in a flexible joint's gear that nothing declares, and the change by half of it, (1, rows)."""
+    """Yield an undeclared loss of a flexible joint's gear, and the response to half of it, (1, rows)."""
     joint: Any = problem.joint
     denied = getattr(problem.loop.controller, "undeclared", "none") == "none"
     if denied or joint.model != "flexible" or joint.friction != Friction():

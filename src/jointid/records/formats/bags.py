@@ -311,7 +311,7 @@ def message_types(name: str, text: str) -> Types:
 
 
 def is_record(path: Path) -> bool:
-    """Test whether a folder holds a record that is no bag."""
+    """Test whether a folder holds a record in another format than a bag."""
     try:
         suffixes = {file.suffix.lower() for file in path.iterdir()} if path.is_dir() else set()
         return (path / _INFO).is_file() or (".csv" in suffixes and suffixes.isdisjoint((*SUFFIXES, ".zstd")))

@@ -94,7 +94,7 @@ def friction_partials(
 
 @inline_kernel
 def turn_place(places: FloatArray, j: int, q: float, turned: FloatArray) -> None:
-    """Write where a step begins, and there the wave of a force that follows a position and its slope per phase."""
+    """Write the start of a step, and a position force's wave and slope there."""
     cos, sin = math.cos(places[j, kernels.WAVE] * q), math.sin(places[j, kernels.WAVE] * q)
     turned[j, 0], turned[j, 1] = q, places[j, kernels.COS] * cos + places[j, kernels.SIN] * sin
     turned[j, 2] = places[j, kernels.SIN] * cos - places[j, kernels.COS] * sin
