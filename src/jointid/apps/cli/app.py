@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import gc
 import io
@@ -9,6 +10,7 @@ import os
 import platform
 import signal
 import sys
+import threading
 import traceback
 import warnings
 from collections.abc import Callable, Mapping
@@ -22,7 +24,7 @@ from cyclopts import App, CycloptsError, Group, Parameter
 from jointid import __version__
 from jointid.apps.cli import console
 from jointid.apps.cli.campaign import campaign
-from jointid.apps.cli.console import clear_bars, put, tell
+from jointid.apps.cli.console import clear_bars, put
 from jointid.apps.cli.demo import demo
 from jointid.apps.cli.identify import identify, learn_controller, payload, tune
 from jointid.apps.cli.inspection import diagnose, inspect
@@ -73,19 +75,19 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
 
     Args:
         arguments: None takes those of the command line.
-        signals: whether to handle SIGINT and SIGTERM.
+        signals: whether to handle SIGINT and SIGTERM, and to hide libraries' warnings without --debug.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     console.details = debug = "--debug" in words
     # Matrices here have thousands of rows and some ten columns: further threads only wait, and delay others.
     for library in ("OPENBLAS", "MKL"):  # each reads this once, when NumPy is loaded
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    # Skip the garbage collection at exit, which took 0.3 s of `identify`.
-    atexit.register(gc.freeze)
+    atexit.register(gc.freeze)  # skip the garbage collection at exit, which took 0.3 s of `identify`
     _prepare_outputs()
-    warnings.showwarning = _show_warning  # type: ignore[assignment]
     try:
         if signals:
+            warnings.simplefilter("default" if debug else "ignore")
+            sys.unraisablehook = _interrupt_again
             if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # a shell's background job ignores it
                 signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.signal(signal.SIGTERM, _leave)
@@ -95,6 +97,14 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
     if signals:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(code)
+
+
+def _interrupt_again(swallowed: sys.UnraisableHookArgs) -> None:
+    """Repeat an interrupt that a callback of Python, as a destructor, swallowed."""
+    if issubclass(swallowed.exc_type, KeyboardInterrupt):
+        threading.Timer(0.01, _thread.interrupt_main).start()
+    else:
+        sys.__unraisablehook__(swallowed)
 
 
 def _leave(number: int, _: object) -> NoReturn:
@@ -157,12 +167,6 @@ def _finish(code: int) -> int:
     failures = [error for error in console.unprinted if not isinstance(error, BrokenPipeError)]
     said = f"The answer could not be printed ({failures[0]}); print to another place." if failures else ""
     return _say(said, code or USERS_MISTAKE) if failures else code
-
-
-def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: object) -> None:
-    """Print a library's warning if --debug is set."""
-    if console.details:
-        tell(warnings.formatwarning(message, category, filename, lineno).rstrip())
 
 
 def _say(message: str, code: int) -> int:

@@ -55,12 +55,11 @@ def demo(folder: Path | None = None, /, *, robot: Flag = False, fleet: Flag = Fa
     require_room(folder)
     listener = listen(quiet)
     with explain(folder), TemporaryDirectory(prefix=".jointid-", dir=folder.absolute().parent) as room:
-        fresh = Path(room, "demo")
-        fresh.mkdir()
+        fresh = Path(room)
         listener(f"simulating {'a fleet' if fleet else 'a robot' if robot else 'an axis'}")
         if fleet:
             ready(listener)
-            said = _write_fleet(fresh)
+            name, said = "campaign.toml", _write_fleet(fresh)
         else:
             name, truth = _write_robot(fresh) if robot else _write_axis(fresh)
             said = _identify(fresh, name, truth, listener)
@@ -69,12 +68,11 @@ def demo(folder: Path | None = None, /, *, robot: Flag = False, fleet: Flag = Fa
             path.rename(folder / path.name)
     show(said)
     show(f"\nWritten to {folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
-    file = folder / ("campaign.toml" if fleet else "robot.toml" if robot else "joint.toml")
     if fleet:
-        show(f"See what changed, which takes minutes: jointid campaign {file}")
+        show(f"See what changed, which takes minutes: jointid campaign {folder / name}")
     else:
-        show(f"All of it on one page: jointid report {file} --html report.html")
-        show(f"Change the {file.stem} file, then: jointid identify {file}")
+        show(f"All of it on one page: jointid report {folder / name} --html report.html")
+        show(f"Change the {Path(name).stem} file, then: jointid identify {folder / name}")
 
 
 def _identify(folder: Path, name: str, truth: Any, listener: Progress) -> str:
@@ -154,8 +152,7 @@ def _write_fleet(folder: Path) -> str:
 
     joint = JOINT_FILE.replace("record.csv", f"logs/axis-001/{FIRST_DAY}.npy")
     names = [f"axis-{number + 1:03}" for number in range(_JOINTS)]
-    rows = ["name,filtering.cutoff,method.frequency", *(f"{name},60,30" for name in names)]
-    table = "".join(f"{row}\n" for row in rows)
+    table = "name,filtering.cutoff,method.frequency\n" + "".join(f"{name},60,30\n" for name in names)
     for file, text in {"campaign.toml": CAMPAIGN, "joint.toml": joint, "fleet.csv": table}.items():
         write_whole(folder / file, text)
     loop = ji.ClosedLoop(ji.FlexibleJoint("prismatic"), CONTROLLERS["L19"])

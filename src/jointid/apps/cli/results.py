@@ -42,9 +42,8 @@ def report(
     spare((html, options.json), held_out)
     file = options.load(joint, html)
     unseen = None if held_out is None else file.record(held_out)
-    records = (Path(file.record_path(options.record)),)
     named = {"axis": options.axis, "held_out": held_out and held_out.name}
-    again = repetition(joint, records, named, options.changes, html.name)
+    again = repetition(joint, (Path(file.record_path(options.record)),), named, options.changes, html.name)
     record, found = options.identify(file, whole=True, first=partial(deliver, brief=True))
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     stated = Report.of(
