@@ -38,11 +38,8 @@ def test_one_record_has_one_answer(gain: float, trust: str, tmp_path: Path, monk
     assert run("identify", joint, "--record", log, "--json", tmp_path / "command.json", "-q") == 0
     assert run("report", joint, "--record", log, *page) == 0
     assert _told(json.loads((tmp_path / "command.json").read_text(encoding="utf-8"))) == expected
-    answer = re.search(
-        r'<script[^>]*id="jointid-answer"[^>]*>(.*?)</script>',
-        (tmp_path / "report.html").read_text(encoding="utf-8"),
-        re.DOTALL,
-    )
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    answer = re.search(r'<script[^>]*id="jointid-answer"[^>]*>(.*?)</script>', text, re.DOTALL)
     assert _told(json.loads(answer[1])["estimate"]) == expected
     row = run_case(Case("axis", joint.read_text(encoding="utf-8"), str(log), ""))
     outcome = Outcome.IDENTIFIED if trust == "reliable" else Outcome.DOUBTFUL

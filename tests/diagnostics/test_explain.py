@@ -295,6 +295,7 @@ def test_the_first_cause_is_the_mistake(name: str) -> None:
     named, said = tell(without_positions(record), ClosedLoop(one.model, one.declared))
     assert named[:1] == ((first,) if first else ()), said
     assert ("You can rely" in said) is (first == "" and name != "wrong column")
+    assert "1/min" in said or name != "Kv in 1/min"
 
 
 def test_cases_start_again_at_the_joint_of_the_best_case() -> None:

@@ -151,10 +151,11 @@ def test_records_without_a_controller_share_all_and_are_not_the_same() -> None:
             identify([record, record] if wrong is None else halves, joint, IDIM(), **(wrong or {}))
 
 
-def test_the_difference_of_two_encoders_zeros_is_found() -> None:
+@pytest.mark.parametrize("stated", [True, False])  # the timing of the torque, whose column is beside that of the zeros
+def test_the_difference_of_two_encoders_zeros_is_found(stated: bool) -> None:
     axis, off = twin(noise="none"), 2e-4
-    load = axis.record.load_position
-    moved = axis.record.with_channels({"load_position": replace(load, values=load.values + off)})
+    load, torque = axis.record.load_position, replace(axis.record.torque, stated=stated)
+    moved = axis.record.with_channels({"load_position": replace(load, values=load.values + off), "torque": torque})
     plain = identify(axis.record, axis.loop.joint, IDIM())
     found = identify(moved, axis.loop.joint, IDIM())
     assert [row.name for row in found.rows].count("encoder_offset") == 1

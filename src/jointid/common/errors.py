@@ -14,8 +14,9 @@ _LONGEST = 4000  # characters of a sentence; longer ones quote files that are no
 class JointidError(Exception):
     """Base of all user-facing errors; the command line exits with 2."""
 
-    def __init__(self, message: str = "") -> None:
+    def __init__(self, message: str = "", code: str = "") -> None:
         super().__init__(printable(message))
+        self.code = code  # of the cause of a failed identification; empty if none was searched for
 
 
 class Fault(str):
@@ -40,9 +41,8 @@ class FaultsError(JointidError):
     """An error that reports all faults at once, one sentence each."""
 
     def __init__(self, faults: str | Iterable[str]) -> None:
-        each = (faults,) if isinstance(faults, str) else tuple(faults)
         kept = list[Fault]()
-        for fault in each:
+        for fault in (faults,) if isinstance(faults, str) else faults:
             said = printable(fault).replace("\n", "\\n")
             said = said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 2 :]}"
             kept.append(Fault(said, fault.place, fault.code) if isinstance(fault, Fault) else Fault(said))

@@ -88,8 +88,8 @@ def unit(name: str) -> Unit:
 
 
 def units_of(*dimensions: str) -> tuple[str, ...]:
-    """Names of all units that measure one of `dimensions`."""
-    return tuple(name for name, entry in _UNITS.items() if entry.dimension in dimensions)
+    """Names of all units that measure one of `dimensions`; without any, of all."""
+    return tuple(name for name, entry in _UNITS.items() if not dimensions or entry.dimension in dimensions)
 
 
 _SPELLINGS = {

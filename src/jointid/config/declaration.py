@@ -207,8 +207,9 @@ class Reader:
         return _WRONG if any(value is _WRONG for value in made.values()) else tuple(made.values()) if is_list else made
 
     def _refuse(self, place: Place, rest: str, code: str = "value") -> Any:
-        meant = next((f' Here "{word}" is "{ours}".' for word, ours in _MEANT.items() if f' is "{word}"' in rest), "")
-        self.faults.append(fault_at(place, rest + meant, code))
+        for word, ours in _MEANT.items():
+            rest = rest.replace(f' is "{word}"; ', f' is "{word}"; did you mean "{ours}"? Otherwise ')
+        self.faults.append(fault_at(place, rest, code))
         return _WRONG
 
 

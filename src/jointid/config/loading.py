@@ -214,7 +214,8 @@ def describe_log(found: Inspection, file: str, axis: str | None, proposed: Mappi
             raise RecordError(f"{found.file} has the axes {', '.join(show(one.name) for one in log.axes)}: name one.")
         channels, place = named[0].channels, {key: one for key, one in named[0].place.items() if key != "index"}
         record = {"file": file, **_clock(found, {*channels.values()})}
-        record |= {} if "torque" in channels else {"torque": "from_controller"}
+        seen: Any = (column := proposed.get("torque")) and {"channels": {"torque": {"column": column}}}
+        record |= {} if "torque" in channels else seen or {"torque": "from_controller"}
         about = "".join(f"# {line}\n" for line in (log.sentence, *log.profile.assumed)) + "\n"
         law = log.profile.law or "cascade"
         text = tomlkit.dumps({"record": record, "drive": {"profile": log.profile.name, **place}})

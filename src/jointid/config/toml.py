@@ -21,8 +21,7 @@ from jointid.common.files import open_file
 _LARGEST = 2**20  # bytes
 _DEEPEST = 256  # points in a key: the parser's time grows with the square of their number
 
-_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-_CONSTANTS = ("true", "false", "inf", "nan")
+_WORD = re.compile(r"(?!(?:true|false|inf|nan)$)[A-Za-z][A-Za-z0-9_-]*")  # no constant of TOML
 _BETWEEN_KEYS = re.compile(r"[=,\n\[\]{}]")
 
 Tables: TypeAlias = MutableMapping[str, Any]
@@ -62,9 +61,9 @@ def parse_toml(text: str) -> dict[str, Any]:
     except RecursionError:
         raise JointFileError("The joint file nests lists or tables too deeply; no key needs that.") from None
     except ValueError as error:  # also a number of more digits than Python reads
-        comma = " A number has a decimal point, as 20.0." if re.search(r"(?m)^\s*\w+\s*=\s*-?\d+,\d", text) else ""
-        expected = f'expected [tables] and lines of key = value, text in "quotes": correct it.{comma}'
-        raise JointFileError(f"The text is not TOML: {error}; {expected}") from error
+        comma = "write 20.0 for 20,0; " if re.search(r"(?m)^\s*\w+\s*=\s*-?\d+,\d", text) else ""
+        expected = 'expected [tables] and lines of key = value, text in "quotes": correct it.'
+        raise JointFileError(f"The text is not TOML: {comma}{error}; {expected}") from error
 
 
 def _count_points(text: str) -> int:
@@ -94,8 +93,7 @@ def parse_change(change: str) -> Change:
         if not equals or _count_points(change) > _DEEPEST:
             raise ValueError
         path = list(_path(tomllib.loads(f"{name} = 0")))
-        word = _WORD.fullmatch(text) is not None and text not in _CONSTANTS
-        (value,) = (text,) if word else tomllib.loads(f"value = {text}").values()
+        (value,) = (text,) if _WORD.fullmatch(text) else tomllib.loads(f"value = {text}").values()
     except (ValueError, RecursionError):
         raise JointFileError(
             f"--set {messages.format_value(change)} is not key=value; expected a key with points and a value of TOML, "

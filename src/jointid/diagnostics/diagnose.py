@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
-from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parallel import one_thread
 from jointid.common.parameters import Parameter
 from jointid.common.text import number
 from jointid.diagnostics.diagnosis import JOINT_DIFFERS, Diagnosis, Symptom, diagnose_robot
-from jointid.diagnostics.explain import find_failure_causes
+from jointid.diagnostics.explain import explain_failure
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.model_free import Agreement, compare_law, find_plain_cause
@@ -34,9 +34,8 @@ from jointid.records.record import Record, takes_record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 
-_NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
-_UNREADABLE, _POOR_MOTION = "unreadable", "motion_poor"
-_ENOUGH = (_UNREADABLE, _POOR_MOTION, Agreement.SCALED, Agreement.LATE)  # after these no joint would be right
+_POOR_MOTION = "motion_poor"
+_ENOUGH = (_POOR_MOTION, Agreement.SCALED, Agreement.LATE)  # after these no joint would be right
 
 
 @one_thread()
@@ -99,7 +98,8 @@ def diagnose(
         try:
             estimate = search(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
         except JointidError as error:
-            symptoms.append(_explain(error, first, loop if len(axes) == 1 else None, progress))
+            told = error if error.code else explain_failure(error, first, loop if len(axes) == 1 else None, progress)
+            symptoms.append(Symptom(told.code, str(told).removesuffix(".")))
         else:
             symptoms += _examine_estimate(estimate)
             made = estimate.diagnosis
@@ -147,15 +147,6 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
     law = None if loop is None else compare_law(record, loop)
     if law is not None and law.agreement.code is not Agreement.HOLDS:
         yield Symptom(str(law.agreement.code), law.agreement.words)
-
-
-def _explain(error: JointidError, record: Record, loop: ClosedLoop | None, progress: Progress) -> Symptom:
-    """Cause of a failed identification; its error if none is found."""
-    causes = find_failure_causes(record, loop, progress=progress)
-    if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
-        return Symptom(_UNREADABLE if isinstance(error, RecordError) else "not_identified", str(error))
-    named = causes.explanations
-    return Symptom(named[0].name if named else str(causes.message.code), causes.message.words)
 
 
 def _examine_estimate(estimate: Estimate) -> Iterator[Symptom]:

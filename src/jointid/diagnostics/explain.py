@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import FaultsError, JointidError
+from jointid.common.errors import FaultsError, JointidError, RecordError
 from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parallel import in_threads
 from jointid.common.text import number
@@ -60,6 +60,7 @@ _MORE, _MORE_OF_POSITION = 1.15, 1.4
 _MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD, _NOTCH = 1.1, 1.01  # times the least error: it may be the cause, too; a notch, of more numbers, is no better
+_NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
 _UNRELATED = 0.95  # of the torque: so much that is no response to the reference is another signal's
 _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, or of no response said
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
@@ -187,17 +188,20 @@ def explain_failure(
     progress: Progress = ignore_progress,
     free: Sequence[str] = (),
 ) -> JointidError:
-    """Error of a failed identification, with or replaced by its cause."""
+    """Error of a failed identification, with or replaced by its cause, whose code it has."""
     if record.remarks and not isinstance(error, FaultsError):
         error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
     causes = find_failure_causes(record, loop, free, progress)
-    if causes is None or not causes.found:
+    if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
+        error.code = "unreadable" if isinstance(error, RecordError) else "not_identified"
         return error
-    words = f"{causes.message.words}."
+    named, words = causes.explanations, f"{causes.message.words}."
     if isinstance(error, FaultsError):  # of the record: each a thing of its own to put right
-        return type(error)((f"{words} {error.faults[0]}", *error.faults[1:]))
-    # How the search ended is an effect of the cause, and nothing to act on.
-    return type(error)(words if causes.explanations or causes.plain else f"{words} {error}")
+        error = type(error)((f"{words} {error.faults[0]}", *error.faults[1:]))
+    else:  # how the search ended is an effect of the cause, and nothing to act on
+        error = type(error)(words if named or causes.plain else f"{words} {error}")
+    error.code = named[0].name if named else str(causes.message.code)
+    return error
 
 
 # The search

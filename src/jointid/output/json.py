@@ -175,9 +175,6 @@ def read_report(path: str | os.PathLike[str]) -> Json:
     return answer
 
 
-# What is kept beside a joint file, so that a log is searched once
-
-
 def key_of(file: File, records: Sequence[Path], axis: str | None, changes: Sequence[str], window: float | None) -> str:
     """SHA-256 of all inputs of an estimate: files, changes and this program."""
     model, cut = file.model_path, str(file.source)  # that of a part of a log is another than its file's
@@ -192,10 +189,12 @@ def _digest_program() -> str:
 
 
 def recall(path: Path, file: File, key: str) -> Estimate | None:
-    """Estimate kept with a key; None for a damaged or different file."""
+    """Estimate kept with a key; None for a damaged or different file. A kept refusal is raised."""
     with contextlib.suppress(RecordError):
         answer = read_report(path)
         if answer.get("key") == key:
+            if "refused" in answer:
+                raise MethodError(str(answer["refused"]), str(answer.get("code")))
             with _refuse_damage(path):
                 x = read(tuple[float, ...] | None, answer["x"])
                 made = read(Diagnosis | None, answer["diagnosis"])
@@ -203,9 +202,11 @@ def recall(path: Path, file: File, key: str) -> Estimate | None:
     return None
 
 
-def keep(path: Path, key: str, estimate: Estimate) -> None:
-    """Keep an estimate with its key; refuse to overwrite other files."""
+def keep(path: Path, key: str, estimate: Estimate | None, **refusal: str) -> None:
+    """Keep an estimate, or a refusal, with its key; refuse to overwrite other files."""
     if os.path.lexists(path) and "key" not in read_report(path):
         raise RecordError(f"{path} is an answer that was written there; move it.")
-    more = {"key": key, "x": plain(estimate.x), "diagnosis": plain(estimate.diagnosis, whole=True)}
-    write_whole(path, dumps(to_dict(estimate) | more))
+    answer: Json = {"schema": ESTIMATE_SCHEMA, "key": key, **refusal}
+    if estimate is not None:
+        answer |= to_dict(estimate) | {"x": plain(estimate.x), "diagnosis": plain(estimate.diagnosis, whole=True)}
+    write_whole(path, dumps(answer))

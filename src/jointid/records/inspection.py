@@ -214,7 +214,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     table, path, of_time = read_table(path, **options), Path(path), units.units_of("time")
     found, clocks = dict[str, InspectedChannel](), dict[str, InspectedChannel]()
     for name, values in table.columns.items():
-        channel = InspectedChannel(name, table.units.get(name) or unit_in_name(name, of_time) or None, values)
+        channel = InspectedChannel(name, table.units.get(name) or unit_in_name(name, units.units_of()), values)
         is_named = _TIME.fullmatch(name) or name in table.clocks.values()
         unit = units.normalise_unit(channel.unit or "s")
         step = float(values[-1] - values[0]) / max(values.size - 1, 1)

@@ -19,7 +19,8 @@ with warnings.catch_warnings():  # it would rather have the successor of httpx
 
 TOKEN = "kept-secret"
 ADDRESS = f"http://127.0.0.1:8765/{TOKEN}/"
-LAW = {"controller.law": "cascade", "controller.position_gain": "60", "controller.velocity_gain": "500"}
+LAW = {"joint.model": "rigid", "controller.law": "cascade", "controller.position_gain": "60"}
+LAW["controller.velocity_gain"] = "500"
 UNITS = {
     "joint.kind": "prismatic",
     **{f"record.channels.{name}.column": name for name in ("torque", "reference", "motor_position")},

@@ -87,14 +87,13 @@ def test_a_fault_stands_beside_its_field_or_the_further_lines(changes: dict[str,
 
 
 def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
-    geared = FILLED | {"transmission.ratio": "50", "joint.torque_constant": "0.62"}
-    asked = {"record.channels.reference.side": form.require_side, "controller.velocity_gain": form.require_controller}
+    geared = FILLED | {"transmission.ratio": "50", "joint.torque_constant": "0.62", "controller.limit": "7,5"}
     with pytest.raises(JointFileError, match="law"):
-        form.require_controller(FILLED | {"controller.law": "", EXTRA: "# no controller"})
-    for key, asks in asked.items():
-        with pytest.raises(JointFileError, match=r"\?|unit"):
-            asks(geared)
-        asks(geared | {key: "load" if key.endswith("side") else "500 A s/m"})
+        form.require(FILLED | {"controller.law": "", EXTRA: "# no controller"}, controller=True)
+    for controller, asked in ((False, r"Choose\.$"), (True, r'\?.*\n.*"500 A s/m".*"500 N s/m".*\n.*"7,5 A"')):
+        with pytest.raises(JointFileError, match=asked):
+            form.require(geared, controller=controller)
+    form.require(geared | {"record.channels.reference.side": "load", "controller.gain": "1"}, controller=True)
     shown = fields_of(FILLED)
     assert [*place_faults(JointFileError("it needs the lead of the transmission"), shown)] == ["transmission.lead"]
     said = 'velocity_gain, period = 1e-4, [ripple] period = 0.2, torque_filters = [{ kind = "notch" }], t = 2'

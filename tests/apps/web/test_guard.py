@@ -50,18 +50,14 @@ def test_every_answer_tells_browsers_how_little_it_may_do(client: TestClient, pa
     assert headers["x-content-type-options"] == "nosniff"
     assert headers["referrer-policy"] == "no-referrer"
     policy = headers["content-security-policy"]
-    assert "default-src 'none'" in policy
-    assert "unsafe" not in policy
-    assert "frame-ancestors 'none'" in policy
+    assert {"default-src 'none'", "frame-ancestors 'none'"} <= {*policy.split("; ")} and "unsafe" not in policy
 
 
 def test_pages_bring_no_script_or_style_of_their_own(client: TestClient, asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
     for path in ("/", "/channels", "/joint"):
         text = client.get(path).text
-        assert "<style" not in text
-        assert " style=" not in text
-        assert " onclick" not in text
+        assert not any(one in text for one in ("<style", " style=", " onclick"))
         assert text.count("<script") == text.count(f'<script src="/{TOKEN}/static/page.js"') == 1
 
 

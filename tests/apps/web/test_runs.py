@@ -38,7 +38,7 @@ def processes(monkeypatch: pytest.MonkeyPatch) -> list[Process]:
 def begun(asker: Asker, run: Draft, processes: list[Process]) -> None:
     """Wait until the process of an identification works."""
     for _ in range(1200):
-        if run.has("_first.txt") and processes and processes[-1].returncode is None:
+        if run.has("_answer.txt") and processes and processes[-1].returncode is None:
             time.sleep(0.5)
             return
         assert asker.page.jobs.is_running(run)

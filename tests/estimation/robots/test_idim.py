@@ -53,9 +53,10 @@ def test_without_noise_all_parameters_come_back() -> None:
 
 
 @pytest.mark.slow
-def test_weights_help_the_wrist() -> None:
+def test_intervals_hold_the_truth_and_weights_help_the_wrist() -> None:
     records = records_of(ARM, 2, noise=1.0)
     found = by_idim(ARM, records)
+    assert np.mean(np.abs(found.values - truth(found)) < 2 * found.covariance.std) > 0.85
     plain = by_idim(ARM, records, IDIM("ols"))
     last = [i for i, name in enumerate(found.names) if name.endswith("6")]
     assert np.mean(found.covariance.std[last] / plain.covariance.std[last]) < 0.6

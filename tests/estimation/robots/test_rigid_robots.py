@@ -118,5 +118,7 @@ def test_friction_is_never_let_below_nothing() -> None:
     for name in ("joint1.coulomb", "joint2.coulomb"):
         value, deviation = fit.value(name)
         assert 0.0 <= value < 3 * deviation
+    bare = tuple(record.without("motor_position") for record in records)
+    assert np.array_equal(search_robot(loop, bare).values, fit.values), "positions are not read"
     run = simulate(loop, records)
     assert np.array_equal(run.motion.direction, np.sign(run.motion.velocity))

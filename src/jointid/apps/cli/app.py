@@ -36,7 +36,7 @@ from jointid.common.errors import JointidError
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 _SIGNALLED = 128  # the exit code is this plus the signal's number
 _INTERRUPTED = "Interrupted; no file is left half written."
-_ENDING = "Exit codes, and options that most commands have, as --quiet: docs/commands.md"
+_ENDING = "Further options, as --quiet, and exit codes: docs/commands.md"
 
 
 def _versions() -> str:

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from jointid.apps.cli.console import Flag, Quiet, listen, ready, show, show_result, spare
 from jointid.common.errors import MethodError
@@ -14,10 +18,10 @@ def campaign(
     /,
     *,
     out: Path | None = None,
-    workers: int = 0,
+    workers: Annotated[int, Parameter(validator=Number(gte=0))] = 0,
     dask: str | None = None,
     again: Flag = False,
-    false_alarm: float = 0.01,
+    false_alarm: Annotated[float, Parameter(validator=Number(gt=0, lt=1))] = 0.01,
     details: Flag = False,
     html: Path | None = None,
     quiet: Quiet = False,
@@ -44,14 +48,10 @@ def campaign(
     from jointid.config import loads
     from jointid.output.report.sections import page
 
-    if workers < 0:
-        raise MethodError(f"--workers is {workers}; expected a whole number, 0 or more: 0 is one for each core.")
     if dask is not None and workers:
         raise MethodError("--dask has its own workers; leave out --workers or --dask.")
     engine = partial(local_processes, count=workers) if dask is None else partial(dask_cluster, address=dask)
     kept = out or file.with_suffix(".jsonl")
-    if not 0 < false_alarm < 1:
-        raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
     listener = listen(quiet)
     spare((kept, html), file)
     asked = load_campaign(file)

@@ -77,9 +77,8 @@ def require_kinds(joint: Path | None, *records: Path) -> None:
             f"{joint} is a record, by its suffix; expected a joint file (.toml): name that first, and the record by "
             f"--record, or write one by jointid inspect {joint} --write joint.toml."
         )
-    for record in records:
-        if record.suffix.lower() == ".toml":
-            raise RecordError(f"{record} is a joint file, by its suffix; expected a record, as log.csv: name that.")
+    if tables := [one for one in records if one.suffix.lower() == ".toml"]:
+        raise RecordError(f"{tables[0]} is a joint file, by its suffix; expected a record, as log.csv: name that.")
 
 
 @Parameter(name="*")
@@ -164,7 +163,6 @@ class Options:
         Raises:
             JointidError: the record cannot be read, or the identification fails.
         """
-        from jointid.diagnostics.explain import explain_failure
         from jointid.estimation.identify import windows_of
         from jointid.estimation.result.estimate import IN_WINDOWS
 
@@ -174,12 +172,7 @@ class Options:
         record: Any = None if together else read(self.record)
         if whole and windows_of(record, file.setup, file.method):
             raise MethodError(IN_WINDOWS)
-        try:
-            return record, self.find(file, record, window, **asked)
-        except JointidError as error:
-            if together or window is not None or file.robot is not None:
-                raise
-            raise explain_failure(error, record, file.loop, self.progress, getattr(file.method, "free", ())) from error
+        return record, self.find(file, record, window, **asked)
 
     def find(
         self,
@@ -190,10 +183,11 @@ class Options:
         checks: bool = True,
         first: Callable[[Estimate], object] | None = None,
     ) -> Estimate:
-        """Return the stored estimate of a record, or identify and store it.
+        """Return the stored estimate of a record, or identify and store it; a refusal with its cause is stored, too.
 
         None stands for all given or listed records. `first` receives the estimate before its checks.
         """
+        from jointid.diagnostics.explain import explain_failure
         from jointid.diagnostics.identify import LATER, check_later
         from jointid.estimation.identify import windows_of
         from jointid.output.json import keep, key_of, recall
@@ -201,12 +195,11 @@ class Options:
         paths = self.records or (record is None and file.listed) or [Path(file.record_path())]
         key, progress = key_of(file, paths, self.axis, self.changes, window), self.progress
 
-        def save(one: Estimate) -> Estimate:
+        def store(one: Estimate | None, **refusal: str) -> None:
             try:
-                keep(place_of(file), key, one)
+                keep(place_of(file), key, one, **refusal)
             except RecordError as error:
                 progress(f"the estimate is not kept: {error}")
-            return one
 
         apart = record is not None and window is None and not windows_of(record, file.setup, file.method)
         apart = apart and (file.robot is not None or record.torque is not None)
@@ -214,15 +207,24 @@ class Options:
         if found is not None and not (checks and LATER in [one.values for one in found.checks]):
             return found
         ready(progress, file)
-        if record is None:
-            found = save(file.identify_together(self.records, progress))
-        elif found is None or not apart:
-            found = save(file.identify(record, progress, checks=checks and not apart, windows=window))
+        try:
+            if record is None:
+                found = file.identify_together(self.records, progress)
+            elif found is None or not apart:
+                found = file.identify(record, progress, checks=checks and not apart, windows=window)
+            store(found)
+        except JointidError as error:
+            if record is None or window is not None or file.robot is not None:
+                raise
+            told = explain_failure(error, record, file.loop, progress, getattr(file.method, "free", ()))
+            store(None, refused=str(told), code=told.code)
+            raise told from error
         if checks and LATER in [one.values for one in found.checks]:
+            if not self.quiet:
+                tell(f"before its checks, which may change this answer: {found.sentence}")
             if first is not None:
-                tell("before its checks, which may change this answer:")
                 first(found)
-            found = save(check_later(found, record, progress))
+            store(found := check_later(found, record, progress))
         return found
 
 
@@ -334,11 +336,16 @@ def clear_bars() -> None:
         _bars().clear()
 
 
-def deliver(result: Documented, json: Path | None = None, *, details: bool = False, brief: bool = False) -> None:
-    """Print a result by `show_result`, or its sentence, and write it as JSON if requested."""
+def deliver(result: Documented, json: Path | None = None, *, details: bool = False) -> None:
+    """Print a result by `show_result`, and write it as JSON if requested."""
+    show_result(result, details=details)
+    save(result, json)
+
+
+def save(result: Documented, json: Path | None) -> None:
+    """Write a result as JSON; None writes nothing."""
     from jointid.output import json as answers
 
-    show(f"{result.sentence}\n") if brief else show_result(result, details=details)
     if json is not None:
         write_whole(json, answers.dumps(answers.to_dict(result)))
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, show, spare
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, save, show, spare
 from jointid.common.errors import MethodError
 
 
@@ -48,7 +48,7 @@ def identify(
         options = replace(options, again=True)  # the torque of several records is not kept
     record, found = options.identify(
         file, several=True, whole=figure is not None, window=window, checks=not no_checks,
-        first=partial(deliver, json=options.json, brief=True),
+        first=partial(save, json=options.json),
     )  # fmt: skip
     deliver(found, options.json, details=details)
     if figure is not None:

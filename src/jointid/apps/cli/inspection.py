@@ -109,19 +109,18 @@ def _diagnose_record(file: File, path: Path, options: Options, laws: bool) -> Di
     from jointid.diagnostics.diagnose import diagnose as run
     from jointid.diagnostics.diagnosis import Diagnosis, Symptom
 
+    alone = replace(options, records=(path,))
     try:
         record = file.record(path)
     except RecordError as error:
         if not path.exists():
             raise
         found = Diagnosis(path.stem, symptoms=tuple(Symptom("unreadable", one) for one in error.faults))
-        deliver(found, options.json)
-        return found
-    alone = replace(options, records=(path,))
-    found = run(
-        record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters, laws=laws,
-        search=lambda *_, **__: alone.find(file, record), progress=options.progress,
-        controllers=() if file.robot is None else file.controllers,
-    )  # fmt: skip
+    else:
+        found = run(
+            record, file.setup, file.method, filtering=file.filtering, parameters=file.parameters, laws=laws,
+            search=lambda *_, **__: alone.find(file, record), progress=options.progress,
+            controllers=() if file.robot is None else file.controllers,
+        )  # fmt: skip
     deliver(found, options.json)
     return found

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
-from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready, show, show_result, spare
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, deliver, ready, save, show, show_result, spare
 from jointid.common.errors import MethodError
 from jointid.common.files import write_whole
 
@@ -44,7 +43,7 @@ def report(
     unseen = None if held_out is None else file.record(held_out)
     named = {"axis": options.axis, "held_out": held_out and held_out.name}
     again = repetition(joint, (Path(file.record_path(options.record)),), named, options.changes, html.name)
-    record, found = options.identify(file, whole=True, first=partial(deliver, brief=True))
+    record, found = options.identify(file, whole=True)
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
@@ -120,7 +119,6 @@ def export(
         format: name of the language, as joint-file, instead of the one that the file's ending implies.
     """
     from jointid.config.toml import apply_changes
-    from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language
 
@@ -139,7 +137,6 @@ def export(
     found = options.identify(file, several=True)[1]
     exported = run(found, language, controllers=file.controllers, **settings)
     exported.save(out)
-    if options.json is not None:
-        write_whole(options.json, answers.dumps(answers.to_dict(found)))
+    save(found, options.json)
     for line in filter(None, (exported.note, exported, f"Written: {out}")):
         show(line)

@@ -128,9 +128,8 @@ def simulate(
     found = own.identify(file, several=True)[1] if identified else None
     simulation, logged, answer = (_simulate_joint if file.robot is None else _simulate_robot)(file, found, options)
     peaks = abs(simulation.torque).reshape(len(simulation.torque), -1).max(axis=0)
-    of_each = (
-        f"{axis.name or ''} {peak:.5g} {axis.joint.force_unit}" for axis, peak in zip(file.axes, peaks, strict=True)
-    )
+    each = zip(file.axes, peaks, strict=True)
+    of_each = (f"{axis.name or ''} {peak:.5g} {axis.joint.force_unit}" for axis, peak in each)
     show(
         f"{len(simulation.torque)} samples of {simulation.sample_time:g} s, {simulation.events} reversals, stops and "
         f"starts; peak torque: {', '.join(map(str.lstrip, of_each))}"
@@ -179,9 +178,8 @@ def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> 
             f"{robot.names[k]} does not follow its reference: it gets {off:.3g} {robot.position_unit(k)} off it; check "
             "its controller's gains and limit, and its signs."
         )
-    strays = {robot.names[k]: off for k, off in astray.items()}
-    answer = simulation_answer(found, robot.name, {"joints": robot.names, "strays": strays})
-    return found, found.records(driven), answer
+    stated = {"joints": robot.names, "strays": {robot.names[k]: off for k, off in astray.items()}}
+    return found, found.records(driven), simulation_answer(found, robot.name, stated)
 
 
 def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:

@@ -129,7 +129,6 @@ class Jobs:
 async def _identify(run: Draft, learn: bool) -> None:
     """Identify by command-line commands; an answer is kept without its report."""
     commands = {
-        "_first.txt": ("identify", run.file, "--no-checks", "--json", "answer.json"),
         "_answer.txt": ("identify", run.file, "--json", "answer.json"),
         "_log.txt": ("report", run.file, "--html", "report.html"),
     }

@@ -12,16 +12,18 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Any
+from typing import Any, cast
 
 import tomlkit
 
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
 from jointid.common.settings import Setting
-from jointid.config.declaration import FileKey, flatten_keys, list_keys
+from jointid.common.units import Kind
+from jointid.config.declaration import FileKey, flatten_keys, list_keys, list_units
 from jointid.config.tables import JOINT_FILE
 from jointid.config.toml import apply_changes, parse_toml
+from jointid.models.controllers import CONTROLLER_UNITS
 from jointid.records.record import CHANNELS, Spans, known_units
 
 EXTRA = "extra"
@@ -181,23 +183,22 @@ def joint_step(texts: Texts) -> Iterator[Section]:
     yield _FURTHER
 
 
-def require_side(texts: Texts) -> None:
-    """Refuse a reference behind a gear without its side, motor or load."""
+def require(texts: Texts, *, controller: bool) -> None:
+    """Refuse a missing side of a reference behind a gear, then a missing law, and numbers without a needed unit."""
+    asked, kind = dict[str, str](), cast("Kind | None", texts.get(_KIND) or None)
     if texts.get(_RATIO) and texts.get("record.channels.reference.column") and not texts.get(_SIDE):
-        asked = f"Behind a gear of {texts[_RATIO]}:1, are these positions the motor's or the load's? Choose one."
-        raise JointFileError(Fault(asked, tuple(_SIDE.split(".")), "missing"))
-
-
-def require_controller(texts: Texts) -> None:
-    """Refuse an unknown law of a joint whose motor position is unknown, and a velocity gain without a needed unit."""
+        asked[_SIDE] = f"Behind a gear of {texts[_RATIO]}:1, are these positions the motor's or the load's? Choose."
     given = (LAW, "record.channels.motor_position.column", "drive.profile")
-    if texts.get(_KIND) and not any(map(texts.get, given)) and "controller" not in make_tables(texts, []):
-        asked = "Without the motor's position in the log the controller must be known: choose its law."
-        raise JointFileError(Fault(asked, tuple(LAW.split(".")), "missing"))
-    gain = texts.get("controller.velocity_gain", "")
-    if texts.get("joint.torque_constant") and re.fullmatch("[0-9.,]+", gain):
-        asked = f'Give its unit: "{gain} A s/rad" of a current, "{gain} N m s/rad" of a torque.'
-        raise JointFileError(Fault(asked, ("controller", "velocity_gain"), "unit"))
+    if controller and kind and not any(map(texts.get, given)) and "controller" not in make_tables(texts, []):
+        asked[LAW] = "Without the motor's position in the log the controller must be known: choose its law."
+    scaled = controller and texts.get("joint.torque_constant") and not texts.get("controller.gain")
+    for key, one in fields_of(texts).items() if scaled else ():
+        number, unit = texts.get(key, ""), one.declared.unit or ""
+        if unit.startswith(CONTROLLER_UNITS) and re.fullmatch("[0-9.,]+", number):
+            torque, current, *_ = list_units(unit, kind)
+            asked[key] = f'Give its unit: "{number} {current}" of a current, "{number} {torque}" of a torque.'
+    if asked:
+        raise JointFileError(Fault(said, tuple(key.split(".")), "missing") for key, said in asked.items())
 
 
 def fields_of(texts: Texts) -> dict[str, Field]:

@@ -214,9 +214,9 @@ async def make_example(request: Request) -> Response:
 async def check_channels(request: Request) -> Response:
     """Check step 2 by reading the record, without controller and method."""
     page, now = _page(request), await _save(request)
-    form.require_side(now.texts)
+    form.require(now.texts, controller=False)
     async with page.files:
-        texts = {key: text for key, text in now.texts.items() if not key.startswith("controller.")}
+        texts = {key: text for key, text in now.texts.items() if not key.startswith(("controller.", "joint.model"))}
         await _load(now, texts, but=("controller", "method"))
         await work(now.path, folder.READING, "_log.txt", "check")
     return page.redirect("/joint")
@@ -225,7 +225,7 @@ async def check_channels(request: Request) -> Response:
 async def identify(request: Request) -> Response:
     """Check everything, and start the identification in a new folder."""
     page, now = _page(request), await _save(request)
-    form.require_controller(now.texts)
+    form.require(now.texts, controller=True)
     learn = now.texts.get(form.LAW) == form.LEARN
     async with page.files:
         text = await _load(now, now.texts)
@@ -310,8 +310,6 @@ async def _receive(request: Request, bound: int, place: Path | None) -> dict[str
         raise PageError("The form or its files did not arrive whole; load the page again, and send it again.") from None
 
 
-HANDLERS = {JointidError: refuse, OSError: refuse, RecursionError: refuse}
-
 ROUTES = [
     Route("/", show_step, methods=["GET"]),
     Route("/record", take_record, methods=["POST"]),
@@ -373,7 +371,7 @@ def build_application(folder: Path, token: str) -> Starlette:
     application = Starlette(
         routes=[Mount(page.root, routes=ROUTES)],
         middleware=[Middleware(_guard, token=token), here],
-        exception_handlers=HANDLERS,
+        exception_handlers=dict.fromkeys((JointidError, OSError, RecursionError), refuse),
         lifespan=live,
     )
     application.state.page = page

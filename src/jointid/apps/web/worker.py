@@ -50,12 +50,13 @@ def preview() -> None:
     clock = {channel.time: {"time": channel.time} for channel in found.channels if channel.time}
     tables: dict[str, Any] = {"record": {"channels": channels} | (clock.popitem()[1] if len(clock) == 1 else {})}
     names = {channel.name: channel.unit for channel in found.channels}
-    said: dict[str, Any] = {"columns": listed, "names": names, "tables": tables, "sentence": ""}
+    sentence = ""
     if found.recognised is not None:
         place = found.recognised.axes[0].place if len(found.recognised.axes) > 1 else {}
         drive = {"profile": found.recognised.profile.name} | {key: place[key] for key in place if key != "index"}
-        said |= {"tables": {"drive": drive}, "sentence": found.recognised.sentence}
-    draft.write_json("_columns.json", said)
+        tables, sentence = {"drive": drive}, found.recognised.sentence
+    tables["joint"] = {"model": "flexible"}
+    draft.write_json("_columns.json", {"columns": listed, "names": names, "tables": tables, "sentence": sentence})
 
 
 def example() -> None:

@@ -378,9 +378,10 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
         code, moved = Trust.NOT_YET, []
         words = f"Do not rely on it yet: {against[0].brief}"
     elif asked is not None and asked.value is None:
-        remedy = "Identify the joint as rigid, or record" if asked.name == "stiffness" else "Record"
+        remedy = 'Identify with model = "rigid", or record stronger ramps or pulses on the torque'
+        remedy = remedy if asked.name == "stiffness" else "Record a motion that shows it"
         code, moved, against = Trust.REFUSED, [], [one for one in loop if one.passed is None]
-        words = f"{remedy} a motion that shows it{'; loop and log were not checked' if against else ''}"
+        words = f"{remedy}{'; loop and log were not checked' if against else ''}"
     elif moved:
         code, against = Trust.PARTLY, [loop[0]]
         words = f"You can rely on it, but not on {join([*map(in_words, moved)])}: {loop[0].brief}"

@@ -113,7 +113,6 @@ def repetition(
     command = shlex.join([*words, *(word for name, value in pairs for word in (f"--{name}", value))])
     with explain(joint, "opened", "check the path"):
         text = joint.read_text(encoding="utf-8")
-    known = digest(*records)
     date = datetime.fromtimestamp(records[0].stat().st_mtime, UTC).date().isoformat()
     names = ", ".join(record.name for record in records)
     tables = apply_changes(tomllib.loads(text), changes)
@@ -121,7 +120,7 @@ def repetition(
     drive = {"torque_constant": f"{constant} (it scales all values; only a known mass shows it)"} if constant else {}
     stated = {"Controller": tables.get("controller", {}), "Drive": tables.get("drive", {}) | drive}
     told = {name: _say(table)[1:-1] for name, table in stated.items() if table}
-    return Repetition(__version__, names, date, known, joint.name, text, command, told)
+    return Repetition(__version__, names, date, digest(*records), joint.name, text, command, told)
 
 
 def _say(declared: Any) -> str:
