@@ -66,10 +66,8 @@ FAULTS = [
         SMALLEST.replace(JOINT, JOINT + 'friction = "asymmetric"\n') + '[gravity]\nload = "constant"',
         "joint contradiction",
     ),
-    (
-        SMALLEST + '[gravity]\nload = "constant"\n[parameters]\noffset = { start = 3 }',
-        "parameters.offset contradiction",
-    ),
+    (SMALLEST + '[gravity]\nload="constant"\n[parameters]\noffset={start=3}', "parameters.offset contradiction"),
+    (SMALLEST + "[transmission]\nlead = 10", "transmission.lead unit"),  # mm
     (SMALLEST + '[ripple]\nperiod = 0.005\nside = "load"', "joint contradiction"),
     (
         LINK + "counterbalance = { cos = 2 }\n[parameters]\ncounterbalance_cos = { start = 3 }",

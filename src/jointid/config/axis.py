@@ -15,7 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import Fault, JointFileError, JointidError, MethodError
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.text import join
-from jointid.common.transmission import SIDES, Side, Transmission
+from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind, UnitError
 from jointid.config.declaration import Place, fault_at, locate, output_of, to_si
 from jointid.config.tables import Source, Values, make_method
@@ -257,7 +257,7 @@ def build_axis(own: Values, kind: Kind, given: Mapping[str, Any]) -> tuple[Axis,
     at, source, drive, stated = own["at"], own["source"], own["drive"], own["controller"]
     through = own["transmission"]
     gear = None if through is None else _make(at("transmission"), Transmission, load=kind, **through)
-    columns = {name: _find_side(name, one, gear) if gear else one for name, one in own["channels"].items()}
+    columns = {name: Frame(drive, kind, gear).find_side(name, one) for name, one in own["channels"].items()}
     if own["torque_constant"] is not None:
         per_volt = "V" in own["texts"].get(at("joint", "torque_constant"), "A")[0]
         name = "torque_per_volt" if per_volt else "torque_constant"
@@ -289,13 +289,6 @@ def build_axis(own: Values, kind: Kind, given: Mapping[str, Any]) -> tuple[Axis,
     if faults := [*_check_units(own, axis), *_check_torque(axis), *_check_runs(own, axis)]:
         raise JointFileError(faults)
     return replace(axis, needed=method.channels(model, controller)), method
-
-
-def _find_side(channel: str, column: Column, gear: Transmission) -> Column:
-    """Assign a column to the load if only its motion has the unit."""
-    motor, load = (known_units(channel, gear.kind_of(side)) for side in SIDES)
-    alone = column.side is None and column.stated_unit(load) in {*load} - {*motor}
-    return replace(column, side="load") if alone else column
 
 
 def _make(place: Place, make: Callable[..., Any], *arguments: Any, **given: Any) -> Any:

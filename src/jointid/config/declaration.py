@@ -28,7 +28,8 @@ Place: TypeAlias = tuple[int | str, ...]
 _MOST, _MOST_KEYS = 10**9, 1000  # largest integer; keys of a table, or tables of a list: each may give a fault
 _WRONG: Any = object()  # placeholder of a faulty value
 BARE = {(name, "s"): (2.0, "ms") for name in ("integral_time", "time_constant", "period", "delay")}
-BARE["position_gain", "1/s"] = 500.0, "1/min"  # of a setting: the largest number without a unit; what it may be in
+BARE |= {("position_gain", "1/s"): (500.0, "1/min"), ("lead", "m"): (1.0, "mm")}
+"""Of a setting: the largest number without a unit, and what it may be in."""
 _MEANT = {"P-PI": "cascade", "P-P": "cascade", "rotary": "revolute", "rotation": "revolute", "linear": "prismatic"}
 
 OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}

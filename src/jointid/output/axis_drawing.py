@@ -28,8 +28,7 @@ _RESONANCES = {"free_free": "Resonance", "motor_locked": "antiresonance", "secon
 
 def resonance_sentence(estimate: Estimate) -> str:
     """Resonance and antiresonance from motor torque; empty without spring."""
-    frequencies = estimate.frequencies
-    named = [(words, frequencies[name]) for name, words in _RESONANCES.items() if name in frequencies]
+    named = [(words, estimate.frequencies[name]) for name, words in _RESONANCES.items() if name in estimate.frequencies]
     stated = ", ".join(f"{words} {number(hertz, 3)} Hz" for words, hertz in named)
     return f"{stated}, from motor torque to motor position." if stated else ""
 

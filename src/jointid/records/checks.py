@@ -129,11 +129,23 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> Itera
 def scale_faults(record: Record) -> list[str]:
     """Faults of signals with an implausible unit, sign or side."""
     reference, motor, velocity = record.reference, record.motor_position, record.reference_velocity
-    faults = [fault for name, channel in record.items() for fault in _magnitude_faults(name, channel)]
+    faults = list[str]()
+    for name, channel in record.items():
+        largest, time, unit = float(np.max(np.abs(channel.values), initial=0.0)), channel.sample_time, channel.unit
+        steps = np.abs(np.diff(channel.values, append=channel.values[-1]))
+        speed = float(np.quantile(steps, 1 - _SHARE_OF_FAST_SAMPLES)) / time
+        if (largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]) or not _TIMES[0] <= time <= _TIMES[1]:
+            faults.append(
+                f"{name} is {largest:.3g} {unit} at most, with a sample every {time:.3g} s (expected {_NUMBERS[0]:g} "
+                f"to {_NUMBERS[1]:g}, and {_TIMES[0]:g} to {_TIMES[1]:g} s); check unit, gain and time column."
+            )
+        elif name in ("reference", "motor_position") and speed > _FASTEST.get(unit, math.inf):
+            faults.append(
+                f"{name} moves at {speed:.3g} {unit}/s and travels {np.ptp(channel.values):.3g} {unit}: it is not in "
+                f"{unit}; give its unit, or its gain, and check the sample time."
+            )
     if faults:
         return faults  # products of such numbers overflow or underflow
-    for name, position in (("reference", reference), ("motor_position", motor)):
-        faults += [] if position is None else _size_faults(name, position)
     if reference is not None and motor is not None and not _droops(record.torque, reference, motor):
         faults += _ratio_faults("motor_position", motor, "reference", reference)
     if reference is not None and velocity is not None and len(reference) > 1:
@@ -141,26 +153,6 @@ def scale_faults(record: Record) -> list[str]:
         derivative = Channel(slope, velocity.unit, reference.sample_time)
         faults += _ratio_faults("reference_velocity", velocity, "the derivative of reference", derivative)
     return faults
-
-
-def _magnitude_faults(name: str, channel: Channel) -> Iterator[str]:
-    largest, time = float(np.max(np.abs(channel.values), initial=0.0)), channel.sample_time
-    if (largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]) or not _TIMES[0] <= time <= _TIMES[1]:
-        yield (
-            f"{name} is {largest:.3g} {channel.unit} at most, with a sample every {time:.3g} s (expected "
-            f"{_NUMBERS[0]:g} to {_NUMBERS[1]:g}, and {_TIMES[0]:g} to {_TIMES[1]:g} s); check unit, gain and time "
-            "column."
-        )
-
-
-def _size_faults(name: str, position: Channel) -> Iterator[str]:
-    steps, unit = np.abs(np.diff(position.values, append=position.values[-1])), position.unit
-    speed = float(np.quantile(steps, 1 - _SHARE_OF_FAST_SAMPLES)) / position.sample_time
-    if speed > _FASTEST.get(unit, math.inf):
-        yield (
-            f"{name} moves at {speed:.3g} {unit}/s and travels {np.ptp(position.values):.3g} {unit}: it is not in "
-            f"{unit}; give its unit, or its gain, and check the sample time."
-        )
 
 
 def _droops(torque: Channel | None, reference: Channel, motor: Channel) -> bool:

@@ -106,13 +106,13 @@ def as_columns(given: Mapping[str, str | Column]) -> dict[str, Column]:
 
 
 def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
-    """Unit at the end of a column's name; unknown ones in brackets."""
+    """Unit at the end of a column's name, one of another kind too; unknown ones in brackets."""
     match = _IN_BRACKETS.search(column)
     if match is None or match[1].isdigit():  # "phi[0]" is an element
         return None
     # "q [clicks]" is refused, not read as metres; "(filtered)" in "q (filtered)" is a remark.
     said = match[1] if match[1] in known else units.normalise_unit(match[1])
-    return (said or None) if said in known or column.rstrip().endswith("]") else None
+    return (said or None) if said in known or said in units.units_of() or column.rstrip().endswith("]") else None
 
 
 def unit_fault(name: str, known: tuple[str, ...]) -> str:

@@ -168,7 +168,7 @@ class RecordReader:
             found, faults = profile.find_columns(wanted, table.columns, self.drive.place, kinds, table.source)
         elif unnamed := [channel for channel in wanted if channel not in found]:
             faults.append(f"{' and '.join(unnamed)} has no column; name it, or give the drive a profile.")
-        selected = {n: column for n, column in found.items() if column.column in table.columns}
+        selected = {n: frame.find_side(n, column) for n, column in found.items() if column.column in table.columns}
         if needed := {n: c.column for n, c in found.items() if n not in selected and not c.optional}:
             listed = " and no ".join(f'"{column}" (for {n})' for n, column in needed.items())
             why = table.explain_missing(needed.values())

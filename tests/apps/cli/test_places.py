@@ -89,19 +89,22 @@ def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> N
         write_whole(tmp_path, b"a folder")
 
 
-@pytest.mark.parametrize(("unit", "read", "torque"), [("°", "rad", "iq set [A]"), ("mm", "m", "Moment [Nm]")])
-def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, unit: str, read: str, torque: str) -> None:
-    (place / "own.csv").write_text(f"Zeit [ms];{torque};Lage-Soll [{unit}]\n0;1,5;0,5\n1;2,5;1,0\n", encoding="cp1252")
+@pytest.mark.parametrize(("columns", "read"), [
+    ("iq set [A];Lage-Soll [°];Rest", "rad"), ("Moment [Nm];Lage-Soll [mm];Rest", "m"),
+    ("Torque setpoint (Nm);Position setpoint (mm);R", "m"), ("Torque x (Nm);Position setpoint (mm);measured (mm)", "m"),
+])  # fmt: skip
+def test_a_log_of_nobody_has_a_joint_file_to_complete(place: Path, columns: str, read: str) -> None:
+    (place / "own.csv").write_text(f"Zeit [ms];{columns}\n0;1,5;0,5;0,5\n1;2,5;1,0;1,0\n", encoding="cp1252")
     assert run("inspect", "own.csv", "--write", "own.toml") == 0
     said = Path("own.toml").read_text("utf-8")
-    if unit == "mm":
+    if read == "m":
         with pytest.raises(ji.RecordError, match="the lead of the transmission"):
             loads(said).record()
     file = loads(re.sub(r"(?m)^# (?=\w+ =|\[)", "", said).replace("?", "1"))  # what it asks, answered
     record, joint = file.record(), file.joint
-    through = joint.transmission.torque("motor")
-    assert (record.torque.values / through).tolist() == pytest.approx([1.5, 2.5]) and record.reference.unit == read
-    assert joint.model == "flexible" and file.controller.velocity_filter is not None and not record.remarks
+    assert (record.torque.values / joint.transmission.torque("motor")).tolist() == pytest.approx([1.5, 2.5])
+    assert (joint.model, record.reference.unit, record.remarks) == ("flexible", read, ())
+    assert file.controller.velocity_filter is not None
 
 
 def test_half_a_result_is_never_seen(tmp_path: Path) -> None:

@@ -47,8 +47,7 @@ def test_a_name_that_was_rebound_to_this_machine_is_refused(client: TestClient, 
 @pytest.mark.parametrize("path", ["/", "/static/page.js", "/nothing", "/runs/1", "http://127.0.0.1:8765/"])
 def test_every_answer_tells_browsers_how_little_it_may_do(client: TestClient, path: str) -> None:
     headers = client.get(path).headers
-    assert headers["x-content-type-options"] == "nosniff"
-    assert headers["referrer-policy"] == "no-referrer"
+    assert (headers["x-content-type-options"], headers["referrer-policy"]) == ("nosniff", "no-referrer")
     policy = headers["content-security-policy"]
     assert {"default-src 'none'", "frame-ancestors 'none'"} <= {*policy.split("; ")} and "unsafe" not in policy
 

@@ -46,16 +46,16 @@ def preview() -> None:
         {"name": one.name, "samples": one.rows, "plot": f"{k}.svg" * (k < _DRAWN), "span": f"{np.ptp(one.values):.4g}"}
         for k, one in enumerate(found.channels[:_LISTED])
     ]
-    channels = {one: {"column": column} for one, column in propose_columns(found).items() if column}
-    clock = {channel.time: {"time": channel.time} for channel in found.channels if channel.time}
-    tables: dict[str, Any] = {"record": {"channels": channels} | (clock.popitem()[1] if len(clock) == 1 else {})}
-    names = {channel.name: channel.unit for channel in found.channels}
-    sentence = ""
+    columns, sentence, drive = propose_columns(found), "", dict[str, Any]()
     if found.recognised is not None:
-        place = found.recognised.axes[0].place if len(found.recognised.axes) > 1 else {}
+        axes, sentence = found.recognised.axes, found.recognised.sentence
+        place, columns = (axes[0].place, {}) if len(axes) > 1 else ({}, columns | dict(axes[0].channels))
         drive = {"profile": found.recognised.profile.name} | {key: place[key] for key in place if key != "index"}
-        tables, sentence = {"drive": drive}, found.recognised.sentence
-    tables["joint"] = {"model": "flexible"}
+    channels = {one: {"column": column} for one, column in columns.items() if column}
+    clock = {channel.time: {"time": channel.time} for channel in found.channels if channel.time}
+    record = {"channels": channels} | (clock.popitem()[1] if len(clock) == 1 else {})
+    tables: dict[str, Any] = {"record": record, "joint": {"model": "flexible"}, "drive": drive}
+    names = {channel.name: channel.unit for channel in found.channels}
     draft.write_json("_columns.json", {"columns": listed, "names": names, "tables": tables, "sentence": sentence})
 
 

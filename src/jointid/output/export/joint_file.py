@@ -54,8 +54,7 @@ def joint_file(
             known, stated = replace(known, free=values == "start", start=value), True
         if stated:
             lines.append(f"{declared.name} = {_toml(parameter_table(known, declared))}")
-    lost = [f"what the record does not show: {', '.join(refused)}"] if refused else []
-    lost += outside
+    lost = [f"what the record does not show: {', '.join(refused)}"] * bool(refused) + outside
     written = "\n".join(["[parameters]", *(f"# {line}" for line in alone.remarks(lost)), *lines, ""])
     before = file.path.parent
     made = edit(dumps(file), replace_table(written), move_paths(before, before if folder is None else folder))

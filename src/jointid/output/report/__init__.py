@@ -144,11 +144,10 @@ class Report:
 
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
-        names = ("diagnosis", "validation", "checks", "profiles", "absent")
         contents: dict[str, Any] = {
             "schema": REPORT_SCHEMA,
             "estimate": to_dict(self.estimate),
-            **{name: getattr(self, name) for name in names},
+            **{name: getattr(self, name) for name in ("diagnosis", "validation", "checks", "profiles", "absent")},
             "frequencies": {} if self.response is None else self.response.modes,
             "tuning": self.tuned,
         }

@@ -118,6 +118,9 @@ def repetition(
     tables = apply_changes(tomllib.loads(text), changes)
     constant = tables.get("joint", {}).get("torque_constant")
     drive = {"torque_constant": f"{constant} (it scales all values; only a known mass shows it)"} if constant else {}
+    if torque := tables.get("record", {}).get("channels", {}).get("torque"):
+        logged = "an actual value" if torque.get("tap") == "measured" else "a setpoint"
+        drive["torque"] = f"{logged} as declared (no record shows it behind a fast current loop)"
     stated = {"Controller": tables.get("controller", {}), "Drive": tables.get("drive", {}) | drive}
     told = {name: _say(table)[1:-1] for name, table in stated.items() if table}
     return Repetition(__version__, names, date, digest(*records), joint.name, text, command, told)

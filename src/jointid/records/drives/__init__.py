@@ -24,7 +24,7 @@ from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import add_settings_to_docstring, check_settings, setting
-from jointid.common.transmission import Side, Transmission
+from jointid.common.transmission import SIDES, Side, Transmission
 from jointid.records.columns import Column, unit_fault
 from jointid.records.record import CHANNELS, InjectionPoint, Tap, known_units
 
@@ -294,7 +294,7 @@ class Drive:
             number, needed, known = self.rated_torque, "rated_torque", self.traces.rated_torque if self.traces else ""
         if number is None and needed:
             said = f" ({known})" if known else ""
-            raise units.UnitError(f"which needs the drive's {needed}{said}: give it below [drive], or another unit")
+            raise units.UnitError(f"which needs the {needed} of the drive{said}: give drive.{needed}, or another unit")
         if number is None:
             return unit
         if unit.dimension == units.COUNTS:
@@ -313,6 +313,13 @@ class Frame:
     def kind_of(self, channel: str, column: Column | None) -> str:
         """Kind of motion on the side of a channel."""
         return self.kind if self.transmission is None else self.transmission.kind_of(self.drive.side(channel, column))
+
+    def find_side(self, channel: str, column: Column) -> Column:
+        """Assign a column to the load if only its motion has the unit."""
+        if self.transmission is None or column.side is not None:
+            return column
+        motor, load = (known_units(channel, self.transmission.kind_of(side)) for side in SIDES)
+        return replace(column, side="load") if column.stated_unit(load) in {*load} - {*motor} else column
 
     def unit_of(self, channel: str, columns: Mapping[str, Column]) -> units.Unit:
         """Return the unit of a channel's values with its factor to SI.
