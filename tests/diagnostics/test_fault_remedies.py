@@ -11,8 +11,6 @@ from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
 
-LAWS = (*SPRINGS, *FRICTIONS)
-
 
 def told(fault: Fault) -> str:
     """Return the sentence on a fault of a joint that can have every law."""
@@ -31,4 +29,4 @@ def test_commands_and_laws_of_a_remedy_are_those_of_the_program(fault: Fault) ->
         assert list(app.parse_commands([command])[0]) == [command]
         app.parse_args([command, "joint.toml"], exit_on_error=False, print_error=False)
     for law in re.findall(r'(?:spring|friction) = "([\w-]+)"', said):
-        assert law in LAWS
+        assert law in (*SPRINGS, *FRICTIONS)

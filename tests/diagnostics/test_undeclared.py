@@ -79,7 +79,7 @@ def test_intervals_hold_what_a_hidden_filter_and_a_loss_of_the_gear_move(log, la
 
 
 @pytest.mark.parametrize(("size", "std", "expected"), [  # those between by integration over all sizes
-    (0.0, 1e4, 0.5), (0.3, 0.01, 0.3), (-0.3, 0.1, 0.035), (0.1, 0.05, 0.0649), (0.3, 0.1, 0.2977), (0.2, 0.0, 0.2),
+    (0.0, 1e4, 0.5), (3.0, 0.01, 1.0), (-0.3, 0.1, 0.035), (0.1, 0.05, 0.0649), (0.3, 0.1, 0.2977), (0.2, 0.0, 0.2),
 ])  # fmt: skip
 def test_an_element_is_as_large_as_the_record_shows_it_and_as_likely_as_none_without_one(size, std, expected):
     assert expect_size(size, std, 0.5) == pytest.approx(expected, rel=0.01)

@@ -7,7 +7,7 @@ import pytest
 
 import jointid as ji
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.verdict import AGAINST_EVERY_VALUE, Check, Reason, StiffnessBound, Subject, Trust
+from jointid.estimation.result.verdict import HELD, Check, Reason, StiffnessBound, Subject, Trust
 from jointid.estimation.result.verdict import judged as with_verdicts
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from tests.estimates import amended, beside_tables
@@ -22,8 +22,7 @@ RIGID = replace(
         parameter("coulomb", "Fc", "N", 20.1, 0.3),
     ),
 )
-HIDES = {"parameters": ["stiffness", "damping"]}
-LAG = Check(Reason.ENCODER_LAG, "one is late", HIDES, name=Subject.ENCODERS, passed=False)
+SOFT = Check(Reason.SPRING_NOT_LINEAR, "soft", {"changes": {"damping": 1.0}}, name=Subject.LOOP, passed=False)
 
 
 def judged(estimate: Estimate, *more: Check, **changes: float) -> Estimate:
@@ -33,6 +32,10 @@ def judged(estimate: Estimate, *more: Check, **changes: float) -> Estimate:
         code, values = Reason.LOOP_NOT_AS_DECLARED, {"changes": changes}
         loop = Check(code, "velocity_gain is smaller (p < 1e-6)", values, name=Subject.LOOP, passed=False)
     return with_verdicts(replace(estimate, checks=(loop, *more)))
+
+
+def doubt(name: Subject, **values: object) -> Check:
+    return Check(Reason.CAUSE_FOUND, "it is so", values, name=name, passed=False)
 
 
 def flexible(stiffness: float | None = 17467.0, stderr: float | None = 1057.0, **more: float) -> Estimate:
@@ -55,7 +58,7 @@ def test_a_stiff_screw_has_its_interval_in_the_unit_of_catalogues_too() -> None:
     assert "(40.5 ± 4.4 N/µm)" in str(with_row(flexible(4.05e7, 2.2e6), "stiffness", unit="N/m").answer)
 
 
-UNEXPLAINED = {"filtered_error": 0.4, "converged": False}
+MEASURED = ["motion_measured"]
 BOUND = with_row(flexible(), "load_inertia", stderr=None, free=False, at_bound=0.0)
 
 
@@ -71,33 +74,32 @@ BOUND = with_row(flexible(), "load_inertia", stderr=None, free=False, at_bound=0
         ),
         (judged(flexible(), stiffness=-2200.0), "not_reliable_yet", ["loop_not_as_declared"], []),
         (
-            judged(amended(RIGID, fit=UNEXPLAINED), viscous=1.0),
+            judged(amended(RIGID, fit={"filtered_error": 0.4, "converged": False}), viscous=1.0),
             "not_reliable_yet", ["loop_not_as_declared", "search_ended", "torque_unexplained"], [],
         ),
         (judged(amended(RIGID, fit={"filtered_error": np.nan})), "not_reliable_yet", ["torque_unexplained"], []),
         # By how much a fault alone moves a value says little where others give way: 28,210 came out for 20,000.
         (judged(BOUND, damping=1.0), "not_reliable_yet", ["loop_not_as_declared"], []),
         (judged(flexible(1e-14, 1.0, at_bound=0.0)), "not_reliable_yet", ["at_bound"], []),
-        (judged(flexible(1000.0, 300.0)), "not_reliable_yet", ["wide_interval"], []),
-        (judged(flexible(0.0, 1.0)), "not_reliable_yet", ["wide_interval"], []),
-        (judged(flexible(1000.0, np.nan)), "not_reliable_yet", ["no_interval"], []),
-        (judged(flexible(1000.0, np.inf)), "not_reliable_yet", ["no_interval"], []),
-        (judged(flexible(), LAG), "not_reliable_yet", ["encoder_lag"], []),
-        (judged(RIGID, LAG), "reliable", [], []),
+        *((judged(flexible(*row)), "not_reliable_yet", ["wide_interval"], []) for row in ((1000.0, 300.0), (0.0, 1.0))),
+        *((judged(flexible(stderr=std)), "not_reliable_yet", ["no_interval"], []) for std in (np.nan, np.inf)),
+        (judged(flexible(), SOFT), "not_reliable_yet", ["spring_not_linear"], []),
+        (judged(RIGID, SOFT), "reliable", [], []),
+        (  # each by less than two deviations, together by more
+            judged(RIGID, replace(SOFT, values={"changes": {"inertia": 0.5}}), inertia=0.5),
+            "not_reliable_yet", ["loop_not_as_declared", "spring_not_linear"], [],
+        ),
+        (judged(RIGID, doubt(Subject.REPEATABLE)), "not_reliable_yet", ["cause_found"], []),
+        (judged(RIGID, doubt(Subject.ENCODERS, parameters=["inertia"])), "not_reliable_yet", ["cause_found"], []),
+        (
+            judged(RIGID, doubt(Subject.DRIFT, parameters=["stiffness", "viscous"])),
+            "reliable_but_not_all_parameters", ["cause_found"], ["viscous"],
+        ),
+        *((judged(RIGID, doubt(one)), "reliable", [], []) for one in HELD),
         (judged(flexible(None, None)), "refused", [], []),
         *(
-            (
-                judged(RIGID, Check(code, "it is so", name=Subject.WHITENESS, passed=False)),
-                "not_reliable_yet", [str(code)], [],
-            )
-            for code in AGAINST_EVERY_VALUE
-        ),
-        *(
-            (
-                amended(RIGID, fit={"simulations": runs}, settings={"method": method, "loop": None}),
-                "not_checked", ["motion_measured"] * measured, [],
-            )
-            for method, runs, measured in (("idim", 0, True), ("drive_side", 9, True), ("idim", 3, False))
+            (amended(RIGID, fit={"simulations": n}, settings={"method": by, "loop": None}), "not_checked", reasons, [])
+            for by, n, reasons in (("idim", 0, MEASURED), ("drive_side", 9, MEASURED), ("idim", 3, []))
         ),
     ],
 )  # fmt: skip
@@ -112,12 +114,9 @@ def test_what_speaks_against_a_value(estimate: Estimate, trust: str, reasons: li
 def test_the_answer_is_a_value_with_its_interval() -> None:
     answer = judged(RIGID).answer
     assert str(answer) == "Inertia 94.90 ± 0.92 kg. You can rely on it."
-    assert (answer.found.code, answer.found.values["value"]) == ("value", 94.9034)
-    assert answer.found.values["two_sigma"] == 0.92
-    soft = replace(RIGID, checks=(Check(Reason.SPRING_NOT_LINEAR, "soft", name=Subject.LOOP, passed=False),))
-    assert "mechanics" in (said := soft.summary(details=True)) and "loop" not in said
-    mode = judged(flexible()).answer.found.values["mode_hz"]
-    assert mode == pytest.approx(np.sqrt(17467.0 * 4) / (2 * np.pi))
+    assert tuple(map(answer.found.values.get, ("value", "two_sigma"))) == (94.9034, 0.92)
+    assert "mechanics" in (said := replace(RIGID, checks=(SOFT,)).summary(details=True)) and "loop" not in said
+    assert judged(flexible()).answer.found.values["mode_hz"] == pytest.approx(np.sqrt(17467.0 * 4) / (2 * np.pi))
 
 
 def test_a_refused_stiffness_has_a_bound_and_no_value() -> None:

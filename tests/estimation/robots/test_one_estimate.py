@@ -63,6 +63,7 @@ def test_a_joint_that_the_model_does_not_explain_speaks_against_a_robot() -> Non
     found = ji.identify(spoilt, robot, ji.IDIM())
     assert (verdicts(found)[Subject.FIT], found.answer.trust.code) == (False, Trust.NOT_YET)
     assert "torque_unexplained" in found.answer.trust.values["reasons"]
+    assert [row[-1] for row in found.to_document().blocks[0].rows] == ["not checked", "not reliable yet"]
 
 
 @pytest.mark.parametrize(
@@ -93,3 +94,5 @@ def test_its_file_is_of_the_same_schema_and_is_no_joint(tmp_path: Path) -> None:
     assert len(answer["correlation"]) == len(found.rows)
     with pytest.raises(RecordError):
         load_estimate(found.save(tmp_path / "robot.json"), ji.RigidJoint("revolute"))
+    with pytest.raises(MethodError, match="that of a robot"):
+        ji.intervals(found, logged()[1][0])

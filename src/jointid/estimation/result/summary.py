@@ -16,7 +16,6 @@ from jointid.estimation.result.verdict import (
     Reason,
     Subject,
     Trust,
-    moved_by_loop,
     told_bounds,
     trust_in_axis,
 )
@@ -186,7 +185,8 @@ def _is_listed(p: EstimatedParameter, *, details: bool) -> bool:
 def remarks(estimate: Estimate) -> dict[str, str]:
     """Remarks on parameters by name: change by a correction, or strong correlation."""
     rows = {p.name: p for p in estimate.rows if p.value is not None}
-    moved = {name: sum(by) for name, by in moved_by_loop(estimate).items() if name in rows}
+    changes = [one.values.get("changes", {}) for one in estimate.about(Subject.LOOP)]
+    moved = {name: sum(by.get(name, 0.0) for by in changes) for name in rows}
     shown = {name: by for name, by in moved.items() if abs(by) > _SHOWN_SHIFT * (rows[name].stderr or 0.0)}
     # A base parameter has the name of a sum; what has the name of a joint's number and is a sum says so.
     sums = (p for p in rows.values() if p.formula not in ("", p.symbol) and p.name != p.symbol)

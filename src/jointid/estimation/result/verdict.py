@@ -1,7 +1,7 @@
 """Checks of an estimate, and the rule for relying on its value.
 
 The asked value is the stiffness of a flexible joint, the inertia of a rigid one, and all parameters of a robot. One
-rule decides whether to rely on it: no checked fault moves it out of its interval. The interval already covers a
+rule decides whether to rely on it: no failed check moves it by more than two deviations. These already cover a
 residual that is coloured or repeats, and a fault of the loop that moves a friction does not change the inertia.
 """
 
@@ -88,14 +88,11 @@ class Reason(StrEnum):
     NO_INTERVAL = "no_interval"
 
 
-AGAINST_EVERY_VALUE = (
-    Reason.SEARCH_ENDED,
-    Reason.TORQUE_UNEXPLAINED,
-    Reason.CAUSE_FOUND,
-    Reason.RESIDUAL_FOLLOWS_MOTION,
-    Reason.FRICTION_NEGATIVE,
-)
-"""Reasons of a failed check, but that of the loop, that speak against every value of the estimate."""
+HELD = (
+    Subject.WHITENESS, Subject.IDENTIFIABILITY, Subject.INSTRUMENTS, Subject.STIFFNESS, Reason.RESIDUAL_REPEATS,
+)  # fmt: skip
+"""Questions, and a reason, whose failure moves no value out of its interval, which holds it."""
+OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,6 +106,23 @@ class Check(Message):
 
     name: Subject
     passed: bool | None
+
+    def moves(self, row: EstimatedParameter, *, stated: bool = True) -> float:
+        """How far a failure moves a value, in its deviations.
+
+        It is the change that the check states, if it states any and that is a guide. Otherwise it is infinite for what
+        the check names, by parameter or axis, or for every value.
+        """
+        values, of = self.values, (row.name, row.axis)
+        if self.passed is not False or {self.name, self.code} & {*HELD}:
+            return 0.0
+        if not (stated and values.get("changes")):
+            return math.inf if {*(values.get("parameters") or values.get("axes") or of)} & {*of} else 0.0
+        # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
+        if self.code in OF_MECHANICS and row.name in ("stiffness", "damping"):
+            return math.inf
+        width = max(row.stderr or 0.0, SLIGHT / INTERVAL * abs(row.value or 0.0))
+        return float(values["changes"].get(row.name, 0.0)) / (width or math.ulp(0.0))
 
 
 def check_of(
@@ -204,8 +218,9 @@ def _check_numbers(estimate: Estimate) -> Iterator[Check]:
     errors = fit.axis_errors or {"": fit.filtered_error}
     worst = max(errors, key=lambda axis: errors[axis])
     said = f"{number(100 * errors[worst], 2)} % of the {estimate.signal}{' of ' * bool(worst)}{worst} is not explained"
-    explained = errors[worst] <= POOR_FIT  # an error that is no number is not
-    yield check_of(Subject.FIT, explained, Reason.TORQUE_UNEXPLAINED, said, {"remaining": errors[worst]})
+    poor = [axis for axis, error in errors.items() if not error <= POOR_FIT]  # as an error that is no number
+    values = {"remaining": errors[worst]} | ({"axes": poor} if fit.axis_errors else {})
+    yield check_of(Subject.FIT, not poor, Reason.TORQUE_UNEXPLAINED, said, values)
     if known is not None:
         good = Message(Reason.PASSED, "every parameter is distinguished from 0 and from the others")
         yield from checks_of(Subject.IDENTIFIABILITY, not known.limitations, *(known.limitations or (good,)))
@@ -233,7 +248,7 @@ def _check_bounds(estimate: Estimate) -> Check:
                 driving[axis] = None
     if driving:
         said = f"the friction of {join([*driving])} is negative: check the signs of torque, motor position and gear"
-        return check_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": [*driving]})
+        return check_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"axes": [*driving]})
     touched = [row.name for row in estimate.rows if row.at_bound is not None]
     said = f"{join([*map(in_words, touched)] or ['no parameter'])} at a bound"
     return check_of(Subject.BOUNDS, not touched, Reason.AT_BOUND, said, {"parameters": touched} if touched else None)
@@ -277,8 +292,6 @@ def scale_check(known: Sequence[str], lost: Sequence[str] = (), *, identified: b
 # Whether to rely on the answer
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia", "inertia@1")  # the first that is free is the answer
-OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
-_OF_VALUES = (Subject.BOUNDS, Subject.AGREEMENT, Subject.DRIFT, Subject.ENCODERS)  # speak against what they name
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 _KNOWN = 0.1  # relative standard error of a robot's parameter that counts as known
 
@@ -369,28 +382,28 @@ def _count_known(estimate: Estimate) -> Message:
     return Message("parameters", f"{words}of {worst} not explained", values)
 
 
-def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
-    """Trust in a value, or in all values of a robot."""
-    loop, springs = estimate.about(Subject.LOOP), _failed(estimate, Subject.STIFFNESS)
-    code, against = Trust.NOT_CHECKED, [*_speak_against(estimate, asked)]
-    moved = [] if asked is None else _moved_out(estimate)
+def _rely_on(estimate: Estimate, asked: EstimatedParameter | None, axis: str = "") -> Message:
+    """Trust in a value, in all values of a robot, or in those of an axis of it."""
+    springs, against = _failed(estimate, Subject.STIFFNESS), [*_speak_against(estimate, asked, axis)]
+    rows = [row for row in estimate.rows if axis in ("", row.axis)]
+    apart = [(row.name, one) for row in rows if row.at_bound is None for one in doubts_of(estimate, row)[:1]]
+    code, moved = Trust.NOT_CHECKED, list[str]()
     if against:
-        code, moved = Trust.NOT_YET, []
-        words = f"Do not rely on it yet: {against[0].brief}"
+        code, words = Trust.NOT_YET, f"Do not rely on it yet: {against[0].brief}"
     elif asked is not None and asked.value is None:
         remedy = 'Identify with model = "rigid", or record stronger ramps or pulses on the torque'
         remedy = remedy if asked.name == "stiffness" else "Record a motion that shows it"
-        code, moved, against = Trust.REFUSED, [], [one for one in loop if one.passed is None]
+        code, against = Trust.REFUSED, [one for one in estimate.about(Subject.LOOP) if one.passed is None]
         words = f"{remedy}{'; loop and log were not checked' if against else ''}"
-    elif moved:
-        code, against = Trust.PARTLY, [loop[0]]
-        words = f"You can rely on it, but not on {join([*map(in_words, moved)])}: {loop[0].brief}"
-    elif springs:
-        code, against, moved = Trust.PARTLY, springs[:1], [row.name for row in estimate.rows if row.value is None]
+    elif apart:
+        code, moved, against = Trust.PARTLY, [name for name, _ in apart], [apart[0][1]]
+        words = f"You can rely on it, but not on {join([*map(in_words, moved)])}: {against[0].brief}"
+    elif springs and (refused := [row.name for row in rows if row.value is None]):
+        code, moved, against = Trust.PARTLY, refused, springs[:1]
         words = "You can rely on it, but not on joints whose spring the record does not show"
     elif asked is not None and not asked.free:
         words = "It was declared, not identified"
-    elif unchecked := _name_unchecked(estimate):
+    elif unchecked := _name_unchecked(estimate, axis):
         words, against = unchecked, [Message(Reason.MOTION_MEASURED, "")] * estimate.motion_measured
     else:
         within = ": what was found wrong moves it by less than its interval"
@@ -400,11 +413,7 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None) -> Message:
 
 def trust_in_axis(estimate: Estimate, axis: str) -> Trust:
     """Trust in the values of one joint of a robot."""
-    loop, left = estimate.about(Subject.LOOP), estimate.about(Subject.REPEATABLE)
-    passed = {one.passed for one in (*loop, *left) if axis in one.values.get("axes", (axis,))}
-    if False in passed or not estimate.fit.axis_errors[axis] <= POOR_FIT:
-        return Trust.NOT_YET
-    return Trust.RELIABLE if loop and passed <= {True} else Trust.NOT_CHECKED
+    return Trust(_rely_on(estimate, None, axis).code)
 
 
 def _failed(estimate: Estimate, name: Subject) -> list[Message]:
@@ -412,17 +421,18 @@ def _failed(estimate: Estimate, name: Subject) -> list[Message]:
     return [one for one in estimate.about(name) if one.passed is False]
 
 
-def _name_unchecked(estimate: Estimate) -> str:
-    """Unchecked conditions of an answer; "" if there are none."""
-    loop = estimate.about(Subject.LOOP)
-    if estimate.motion_measured or not loop:  # another record has the same bias where the motion was measured
+def _name_unchecked(estimate: Estimate, axis: str) -> str:
+    """Unchecked conditions of an answer, or of that of an axis; "" if there are none."""
+    whole = estimate.about(Subject.LOOP)
+    loop = [one for one in whole if axis in ("", *one.values.get("axes", (axis,)))]
+    if estimate.motion_measured or not whole:  # another record has the same bias where the motion was measured
         remedy = "validate it on another record"
         if estimate.motion_measured:
             remedy = "the motion was measured under control: what disturbs it biases these values; identify by DIDIM"
         left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.signal} is not explained"
         rate = f", with a sample time of {1e3 * estimate.data.sample_time:.4g} ms as stated" * estimate.motion_measured
         return f"Checked by its fit only ({left}){rate}: {remedy}"
-    if loop[0].passed is None:
+    if loop and loop[0].passed is None:
         axes = loop[0].values.get("axes", ())
         which = f"controller of {join(axes)}" if axes else "controller"
         return f"You can rely on it if the {which} is as declared, which was not checked"
@@ -431,53 +441,37 @@ def _name_unchecked(estimate: Estimate) -> str:
     return ""
 
 
-def _speak_against(estimate: Estimate, asked: EstimatedParameter | None) -> Iterator[Message]:
-    """Yield the reasons against a value, or against the whole estimate.
+def doubts_of(estimate: Estimate, row: EstimatedParameter) -> list[Check]:
+    """Failed checks that move a value by more than two deviations, alone or together, those of the loop first.
 
-    If a parameter is held at a bound, or the torque is not explained, others compensate for faults of loop and log:
-    their effect on one value alone is then no guide.
+    If a parameter is held at a bound, or the torque is not explained, others compensate for faults of loop and log: the
+    changes that these state are then no guide.
     """
-    loop, name = _failed(estimate, Subject.LOOP), "" if asked is None else asked.name
-    held = any(row.of_joint and row.at_bound is not None for row in estimate.rows)
-    gross = held or not estimate.fit.filtered_error <= POOR_FIT or not any("changes" in one.values for one in loop)
-    refused = asked is not None and asked.value is None
-    if asked is None or refused or gross or name in _moved_out(estimate):
-        yield from loop[:1]
-        # A second fault was found beside the first one, corrected.
-        yield from (one for one in loop[1:2] if "suspect" in one.values and not refused)
-    elif name in ("stiffness", "damping"):
-        # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
-        yield from (one for one in loop if one.code in OF_MECHANICS)
-    if refused:
+    stated = estimate.fit.filtered_error <= POOR_FIT
+    stated &= not any(one.of_joint and one.at_bound is not None for one in estimate.rows)
+    moved = [(one, by) for one in estimate.checks if (by := one.moves(row, stated=stated))]
+    moved.sort(key=lambda one: one[0].name != Subject.LOOP)
+    alone = [one for one, by in moved if abs(by) > INTERVAL]
+    return alone or [one for one, _ in moved if abs(sum(by for _, by in moved)) > INTERVAL]
+
+
+def _speak_against(estimate: Estimate, asked: EstimatedParameter | None, axis: str) -> Iterator[Message]:
+    """Yield the reasons against a value, or against all values of an axis, or of any."""
+    if asked is None:
+        for one in [axis] if axis else [*estimate.fit.axis_errors]:
+            each = [doubts_of(estimate, row) for row in estimate.rows if row.axis == one]
+            yield from (check for check in each[0] if all(check in other for other in each)) if each else ()
         return
-    for one in estimate.checks:
-        named = one.name in _OF_VALUES and name in one.values.get("parameters", ())
-        if one.passed is False and one.name != Subject.LOOP and (named or one.code in AGAINST_EVERY_VALUE):
-            yield one
-    if asked is None or not asked.free or asked.at_bound is not None:
+    doubts = doubts_of(estimate, asked)
+    if asked.value is None:
+        yield from (one for one in doubts if one.name == Subject.LOOP)
         return
-    value, deviation = asked.value or 0.0, asked.deviation
+    yield from doubts
+    if not asked.free or asked.at_bound is not None:
+        return
+    value, deviation = asked.value, asked.deviation
     if deviation is None or not math.isfinite(value + deviation):
         yield Message(Reason.NO_INTERVAL, "its interval is not known")
     elif INTERVAL * deviation > _WIDE * abs(value):
         share = f"to {number(100 * INTERVAL * deviation / abs(value), 2)} % only" if value else "not even by its sign"
         yield Message(Reason.WIDE_INTERVAL, f"it is known {share}")
-
-
-def moved_by_loop(estimate: Estimate) -> dict[str, list[float]]:
-    """Changes of parameters by correction of loop and log faults, by name."""
-    found = dict[str, list[float]]()
-    for one in estimate.about(Subject.LOOP):
-        for name, by in one.values.get("changes", {}).items():
-            found.setdefault(name, []).append(by)
-    return found
-
-
-def _moved_out(estimate: Estimate) -> list[str]:
-    """Parameters that faults of loop or log move out of their intervals.
-
-    They change by more than two standard errors, and by more than a slight share.
-    """
-    moved = {name: max(map(abs, (sum(by), *by))) for name, by in moved_by_loop(estimate).items()}
-    within = {row.name: max(INTERVAL * (row.stderr or 0.0), SLIGHT * abs(row.value or 0.0)) for row in estimate.rows}
-    return [name for name, width in within.items() if moved.get(name, 0.0) > width]
