@@ -105,4 +105,4 @@ def draw_gear(axes: Axes, gear: Transmission) -> None:
     size = f"{gear.ratio:g}:1" if gear.ratio is not None else f"{1e3 * (gear.lead or 0.0):g} mm per turn"
     for x, points in ((_LEFT + 0.1, 11.0), (_LEFT + 0.32, 20.0)):
         axes.plot([x], [_BOX / 2], marker="o", markersize=points, markerfacecolor="white", color=_INK)
-    _write(axes, _LEFT + 0.2, -0.15, size, _INK, bold=True, across=0.5)
+    _write(axes, _LEFT + 0.2, -0.15, size, _INK, bold=True, across=0.8)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jointid.common.document import Block, Document, Facts, Table, common_facts
-from jointid.common.text import in_words, interval, number
+from jointid.common.text import in_words, interval, join, number
 from jointid.estimation.result.agreement import Alone
 from jointid.estimation.result.verdict import (
     OF_MECHANICS,
@@ -193,9 +193,9 @@ def remarks(estimate: Estimate) -> dict[str, str]:
     found = {p.name: [f"stands for {p.formula}"] for p in sums}
     for name, by in shown.items():
         found.setdefault(name, []).append(f"would change by {number(by, 3, '+')}")
-    for i, j in np.argwhere(np.abs(estimate.correlation) > INSEPARABLE):
-        one, other = estimate.free[i], estimate.free[j]
-        apart = i != j and not estimate.fit.axis_errors
-        if apart and all(name in rows and rows[name].of_joint for name in (one, other)):
-            found.setdefault(one, []).append(f"only with {in_words(other)}")
+    apart = {name for name, one in rows.items() if one.of_joint and not estimate.fit.axis_errors}
+    for one, alike in zip(estimate.free, np.abs(estimate.correlation) > INSEPARABLE, strict=False):
+        others = [name for name, like in zip(estimate.free, alike, strict=False) if like and name in apart - {one}]
+        if others and one in apart:
+            found.setdefault(one, []).append(f"only with {join([*map(in_words, others)])}")
     return {name: ", ".join(said) for name, said in found.items()}
