@@ -173,8 +173,8 @@ def with_law(case: Case, *laws: str) -> tuple[ClosedLoop, dict[str, float]]:
     travel, stiffness = float(np.ptp(own.motor_position)), truth.get("stiffness", 0.0)
     duration, fastest = own.torque.size * own.sample_time, float(np.max(np.abs(own.motor_velocity)))
     for law in laws:
-        if law in SPRINGS:
-            joint = replace(joint, spring=SPRINGS[law])  # type: ignore[arg-type]
+        if any(word in law for word in SPRINGS):
+            joint = replace(joint, spring=Spring(law))  # type: ignore[arg-type]
         elif law in GRAVITIES:
             joint = replace(joint, gravity=GRAVITIES[law])
         elif "ripple" in law:

@@ -96,7 +96,9 @@ def test_torque_and_deflection_of_the_pieces() -> None:
     deflection = np.array([0.5, 1.0, 1.5, 2.0, 2.5, -2.5])  # edges at 1 and 2
     np.testing.assert_allclose(spring.torque(values, deflection, still), [1.0, 2.0, 4.0, 6.0, 10.0, -10.0])
     assert [spring.deflection(values, t) for t in (0.0, 1.0, -4.0, 10.0)] == [0.0, 0.5, -1.5, 2.5]
-    gap = {"stiffness": 2.0, "gap": 1.0, "damping": 3.0}
+    gap = {"stiffness": 2.0, "gap": 1.0, "damping": 3.0, "cubic_stiffness": 0.5}
     torque = Spring("backlash").torque(gap, np.array([0.4, -1.5]), np.ones(2))
     np.testing.assert_allclose(torque, [0.0, -2.0 + 3.0])
-    assert Spring("backlash").deflection(gap, -2.0) == -1.5
+    assert [Spring("backlash").deflection(gap, -2.0), Spring("backlash-cubic").deflection(gap, 0.0)] == [-1.5, 0.0]
+    held = np.array([Spring("backlash-cubic").deflection(gap, torque) for torque in (0.01, -5.0)])  # within and behind
+    np.testing.assert_allclose(Spring("backlash-cubic").torque(gap, held, np.zeros(2)), [0.01, -5.0])

@@ -265,9 +265,8 @@ def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
         cycle = learned.position_period or T
         assert declared.position_offset == pytest.approx((learned.position_offset + later * T) % cycle, abs=1e-15)
         assert shift_start(declared, later * T) == learned
-    assert shift_start(PD(position_gain=1.0, derivative_gain=1.0), later * T) == PD(
-        position_gain=1.0, derivative_gain=1.0
-    )
+    law = PD(position_gain=1.0, derivative_gain=1.0)
+    assert shift_start(law, later * T) == law
 
 
 def test_a_motor_that_slips_for_a_moment_stops_before_it_moves(monkeypatch: pytest.MonkeyPatch) -> None:

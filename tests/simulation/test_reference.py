@@ -82,6 +82,8 @@ QUICK = [
     ("rigid prismatic", ("asymmetric-load-dependent",), "limited, with an integral"),
     ("prismatic", ("cubic", "load ripple"), "limited"),
     ("prismatic", ("backlash", "ripple"), "plain"),
+    ("prismatic", ("backlash-cubic-hysteretic",), "plain"),
+    ("prismatic", ("asymmetric-stribeck", "two-piece-elastic-load"), "plain"),
     ("prismatic", ("stribeck-drifting-load-dependent", "hysteretic"), "plain"),
 ]
 SLOW = [

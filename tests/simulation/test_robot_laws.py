@@ -9,7 +9,8 @@ from jointid.models.friction import FRICTIONS, Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.position_forces import Gravity
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
-from jointid.models.springs import SPRINGS
+from jointid.models.springs import SPRINGS, Spring
+from jointid.planning.robots import _draw_robots
 from jointid.records.record import Channel, Record
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.kernels import engine, variation
@@ -44,10 +45,11 @@ FLEXIBLE = [FlexibleJoint("revolute", law) for law in FRICTIONS.values()]
 SPRUNG = [FlexibleJoint("revolute", spring=law) for law in SPRINGS.values() if law.name != "elastic-load"]
 HANGING = [make("revolute", gravity=Gravity("link")) for make in (RigidJoint, FlexibleJoint)]
 COMBINED = [RigidJoint("revolute", Friction("asymmetric-presliding"))] + [
-    FlexibleJoint("revolute", Friction(friction), spring=SPRINGS[spring])
+    FlexibleJoint("revolute", Friction(friction), spring=Spring(spring))
     for friction, spring in (
         ("asymmetric-presliding-drifting-load-dependent", "cubic"), ("asymmetric-stribeck-drifting", "hysteretic"),
         ("stribeck-load-dependent", "backlash"), ("asymmetric-drifting", "three-piece"),
+        ("symmetric", "cubic-hysteretic"), ("presliding", "backlash-cubic"),
     )
 ]  # fmt: skip
 
@@ -95,6 +97,8 @@ def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     numbers = Numbers.of(loop.robot)
     again = Numbers.of(robot_with(loop.robot, numbers))
     assert (again.values[0], again.joints) == (pytest.approx(numbers.values[0], abs=1e-15), numbers.joints)
+    drawn = Numbers.of(next(_draw_robots(loop.robot, 20.0, 1, 1))).values[0]  # for a plan that holds within 20 %
+    assert all(drawn[name] != x for name, x in numbers.values[0].items() if name.endswith(("coulomb", "wards")))
     runs = {steps: simulate(loop, (record,), steps=steps) for steps in (4, 8)}
     alone = ClosedLoop(joint, LAW)
     begun = Initial(float(runs[8].motor_position[0, 0]), 0.0, 0.0)

@@ -1,7 +1,7 @@
-"""Spring laws between motor and load: piecewise linear, or with smooth terms.
+"""Spring laws between motor and load: a line, or lines in pieces, and further terms.
 
-To add a law, write its row in `_LAWS`: its parameters between stiffness and damping, their start values and texts.
-`Spring.pieces` has the pieces of a piecewise law, and the plant of a simulation the smooth terms.
+To add a term, write its row in `_TERMS`: its parameters between stiffness and damping, their start values and texts.
+`Spring.pieces` has the pieces of the line, and the plant of a simulation the other terms.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import NamedTuple, TypeAlias
 
@@ -40,15 +41,12 @@ class Piece(NamedTuple):
     damping: float
 
 
-def _start_pieces(count: int) -> Starts:
-    def start(linear: Values, windup: float) -> Iterator[dict[str, float]]:
-        """Yield start values: stiffening and softening springs with equal torque ranges."""
-        stiffness, names = linear["stiffness"], ["stiffness", *(p.name for p in _pieces(count))]
-        torques = [stiffness * windup * i / count for i in range(1, count)]
-        for shares in _BENT:
-            yield dict(zip(names, [*(stiffness * np.linspace(*shares, count)), *torques], strict=True))
-
-    return start
+def _start_pieces(count: int, linear: Values, windup: float) -> Iterator[dict[str, float]]:
+    """Yield start values: stiffening and softening springs with equal torque ranges."""
+    stiffness, names = linear["stiffness"], ["stiffness", *(p.name for p in _pieces(count))]
+    torques = [stiffness * windup * i / count for i in range(1, count)]
+    for shares in _BENT:
+        yield dict(zip(names, [*(stiffness * np.linspace(*shares, count)), *torques], strict=True))
 
 
 def _pieces(count: int) -> tuple[Parameter, ...]:
@@ -83,14 +81,14 @@ def swinging_part(linear: Values, share: float, times: float) -> dict[str, float
     return {"stiffness": 1 / left if left > 0.0 else _STIFFER * stiffness} | swings
 
 
-class _Law(NamedTuple):
+class _Term(NamedTuple):
     """A row of the table of springs.
 
     Attributes:
         own: parameters between stiffness and damping.
-        words: the spring in words, with its parameters in braces.
+        words: what follows the stiffness in words, with parameters in braces.
         starts: see `Spring.starts`.
-        adds: the smooth terms in words. instead: the linear term in words, for exports of lines only.
+        adds: of a term beside the lines, that in words. instead: the lines in words, for exports of lines only.
     """
 
     own: tuple[Parameter, ...]
@@ -100,51 +98,49 @@ class _Law(NamedTuple):
     instead: str = ""
 
 
-_LAWS: Mapping[str, _Law] = {
-    "linear": _Law((), "{stiffness}", lambda linear, windup: iter([{"stiffness": linear["stiffness"]}])),
-    "two-piece": _Law(_pieces(2), "{stiffness} up to {torque_1}, {stiffness_2} above", _start_pieces(2)),
-    "three-piece": _Law(
-        _pieces(3), "{stiffness} up to {torque_1}, {stiffness_2} up to {torque_2}, {stiffness_3} above",
-        _start_pieces(3),
+_TERMS: Mapping[str, _Term] = {
+    "two-piece": _Term(_pieces(2), " up to {torque_1}, {stiffness_2} above", partial(_start_pieces, 2)),
+    "three-piece": _Term(
+        _pieces(3), " up to {torque_1}, {stiffness_2} up to {torque_2}, {stiffness_3} above", partial(_start_pieces, 3)
     ),
-    "backlash": _Law(
-        (Parameter("gap", "gap", Quantity.POSITION, lower=0.0),), "{stiffness} behind a gap of {gap}",
+    "backlash": _Term(
+        (Parameter("gap", "gap", Quantity.POSITION, lower=0.0),), " behind a gap of {gap}",
         lambda linear, windup: (
             {"stiffness": linear["stiffness"] / (1 - share), "gap": 2 * share * windup} for share in _GAPS
         ),
     ),
-    "cubic": _Law(
+    "cubic": _Term(
         (Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS),),
-        "{stiffness}, and {cubic_stiffness} times the cube of the deflection", _start_cubic,
+        ", and {cubic_stiffness} times the cube of the deflection", _start_cubic,
         "the cube in the spring's torque", "its stiffness for small deflections",
     ),
-    "hysteretic": _Law(
+    "hysteretic": _Term(
         (
             Parameter("hysteresis_stiffness", "Kh", Quantity.STIFFNESS, lower=0.0),
             Parameter("hysteresis_torque", "Th", Quantity.FORCE, lower=_LEAST),
         ),
-        "{stiffness}, beside {hysteresis_stiffness} that slips at {hysteresis_torque}", _start_slider,
+        ", beside {hysteresis_stiffness} that slips at {hysteresis_torque}", _start_slider,
         "the slider beside the spring", "the stiffness where that slips",
     ),
-    "elastic-load": _Law(
+    "elastic-load": _Term(
         (
             Parameter("swinging_share", "r3", Quantity.RATIO, lower=0.0, upper=_WHOLE),
             Parameter("swinging_stiffness", "K23", Quantity.STIFFNESS, lower=0.0),
             Parameter("swinging_damping", "F23", Quantity.VISCOUS, lower=0.0),
         ),
-        "{stiffness}, and a share of {swinging_share} of the load on {swinging_stiffness}",
+        ", and a share of {swinging_share} of the load on {swinging_stiffness}",
         lambda linear, windup: (swinging_part(linear, share, times) for share, times in product(_PARTS, _TIMES)),
         "the part of the load that swings on a spring of its own", "the whole load on the first spring",
     ),
 }  # fmt: skip
-_BESIDE = tuple(p.name for law in _LAWS.values() if law.adds for p in law.own)
+_BESIDE = tuple(p.name for term in _TERMS.values() if term.adds for p in term.own)
 
 
 @dataclass(frozen=True, slots=True)
 class Spring:
-    """Spring law by its name; immutable and hashable.
+    """Spring law by its joined names, such as "backlash-cubic-hysteretic"; immutable and hashable.
 
-    Each has a ``stiffness``, of its first piece with one, and the ``damping`` of the parallel damper.
+    Each has a ``stiffness``, of its first piece with one, and a parallel ``damping``. Terms add up; one may be pieces.
 
     - "linear": ``K12 e``, (2) of the paper.
     - "two-piece": K1 up to the torque T1, and K2 above. "three-piece": K1 up to T1, K2 up to T2, and K3 above, as of a
@@ -168,8 +164,13 @@ class Spring:
     name: str = "linear"
 
     def __post_init__(self) -> None:
-        if self.name not in _LAWS:
-            raise MethodError(f'Spring "{self.name}" is not known; use {", ".join(_LAWS)}.')
+        whole = "-".join(word for word in _TERMS if word in self.name) or "linear"
+        if self.name != whole or sum(not term.adds for term in self._terms) > 1:
+            raise MethodError(f'Spring "{self.name}" is not known; use {", ".join(SPRINGS)}, joined by "-" in order.')
+
+    @property
+    def _terms(self) -> list[_Term]:
+        return [term for word, term in _TERMS.items() if word in self.name]
 
     @property
     def linear(self) -> bool:
@@ -183,45 +184,46 @@ class Spring:
 
     @property
     def stepped(self) -> bool:
-        """True if the spring is smooth."""
+        """True if a simulation has more than lines."""
         return bool(self.adds)
 
     @property
+    def in_pieces(self) -> Spring:
+        """The spring without terms beside its lines."""
+        return Spring(next((word for word, term in _TERMS.items() if word in self.name and not term.adds), "linear"))
+
+    @property
     def adds(self) -> str:
-        """Term of a smooth spring beside its line, in words."""
-        return _LAWS[self.name].adds
+        """Terms beside its lines, in words; "" of lines alone."""
+        return ", and ".join(term.adds for term in self._terms if term.adds)
 
     @property
     def instead(self) -> str:
-        """Linear term of the law in words, for exports of lines only."""
-        return _LAWS[self.name].instead
+        """Lines of the law in words, for exports of lines only."""
+        return ", ".join(term.instead for term in self._terms if term.adds)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness first, damping last."""
-        first = Parameter("stiffness", "K1" if self._ends else "K12", Quantity.STIFFNESS, lower=0.0)
-        return (first, *_LAWS[self.name].own, Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0))
-
-    @property
-    def _ends(self) -> list[str]:
-        """Names of the torques at which its pieces end."""
-        return [p.name for p in _LAWS[self.name].own if p.name.startswith("torque_")]
+        first = Parameter("stiffness", "K1" if "piece" in self.name else "K12", Quantity.STIFFNESS, lower=0.0)
+        own = (p for term in self._terms for p in term.own)
+        return (first, *own, Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0))
 
     def pieces(self, values: Values) -> tuple[Piece, ...]:
         """Pieces of one side by deflection; a piece without stiffness never ends."""
         whole = Piece(0.0, 0.0, values["stiffness"], values["damping"])
-        if self.name == "backlash":
+        if "backlash" in self.name:
             return Piece(0.0, 0.0, 0.0, 0.0), whole._replace(deflection=0.5 * values["gap"])
         found = [whole]
-        for i, name in enumerate(self._ends, 2):
-            begin, torque, stiffness, damping = found[-1]
-            end = begin + (values[name] - torque) / stiffness if stiffness else math.inf
-            found.append(Piece(end, values[name], values[f"stiffness_{i}"], damping))
+        for i in range(2, 4 if "three-piece" in self.name else 3 if "two-piece" in self.name else 2):
+            (begin, torque, stiffness, damping), ends = found[-1], values[f"torque_{i - 1}"]
+            end = begin + (ends - torque) / stiffness if stiffness else math.inf
+            found.append(Piece(end, ends, values[f"stiffness_{i}"], damping))
         return tuple(found)
 
     def beside(self, values: Values) -> dict[str, float]:
         """Numbers of smooth terms by name; 0 for those of other laws."""
-        own = {p.name for p in _LAWS[self.name].own} if self.stepped else set()
+        own = {p.name for term in self._terms for p in term.own}
         return {name: values[name] if name in own else 0.0 for name in _BESIDE}
 
     def starts(self, linear: Values, windup: float) -> Iterator[dict[str, float]]:
@@ -231,24 +233,29 @@ class Spring:
             linear: values of the joint with the linear spring that fits best.
             windup: the largest deflection of that spring.
         """
-        return _LAWS[self.name].starts(linear, windup)
+        found = [{"stiffness": linear["stiffness"]}]
+        for term in self._terms:
+            found = [one | start for one in found for start in term.starts({**linear, **one}, windup)]
+        return iter(found)
 
     def describe(self, shown: Mapping[str, str]) -> str:
         """Spring in words; `shown` has the text of all parameters except damping."""
         units = {name: text.removesuffix(" 1") for name, text in shown.items()}  # a share's unit
-        return _LAWS[self.name].words.format(**units)
+        return "".join(["{stiffness}", *(term.words for term in self._terms)]).format(**units)
 
     def deflection(self, values: Values, torque: float) -> float:
         """Smallest deflection under a constant torque, if the spring can hold it."""
-        size, cubic, found = abs(torque), self.beside(values)["cubic_stiffness"], 0.0
-        for piece in self.pieces(values):
+        size, cubic, found, pieces = abs(torque), self.beside(values)["cubic_stiffness"], 0.0, self.pieces(values)
+        for piece in pieces:
             if size > 0.0 and size >= piece.torque:
                 found = piece.deflection + ((size - piece.torque) / piece.stiffness if piece.stiffness > 0.0 else 0.0)
-        found, stiffness = math.copysign(found, torque) if cubic == 0.0 else 0.0, values["stiffness"]
-        for _ in range(_NEWTON if cubic else 0):
-            slope = stiffness + 3.0 * cubic * found**2
-            found -= ((stiffness + cubic * found**2) * found - torque) / slope if slope > 0.0 else 0.0
-        return found
+        found = max(one.deflection for one in pieces if one.deflection < math.inf) if cubic and size else found
+        for _ in range(_NEWTON if cubic and size else 0):
+            at = max((piece for piece in pieces if piece.deflection <= found), key=lambda piece: piece.deflection)
+            slope = at.stiffness + 3.0 * cubic * found**2
+            left = at.torque + at.stiffness * (found - at.deflection) + cubic * found**3 - size
+            found = max(found - left / slope, 0.0) if slope > 0.0 else found
+        return math.copysign(found, torque)
 
     def torque(self, values: Values, deflection: FloatArray, velocity: FloatArray) -> FloatArray:
         """Torque of spring and damper, (samples,), at deflections and their rates."""
@@ -259,5 +266,5 @@ class Spring:
         return np.asarray(lines + self.beside(values)["cubic_stiffness"] * deflection**3)
 
 
-SPRINGS: Mapping[str, Spring] = {name: Spring(name) for name in _LAWS}
-"""Every law of a spring by its name in the joint file."""
+SPRINGS: Mapping[str, Spring] = {name: Spring(name) for name in ("linear", *_TERMS)}
+"""The spring laws that comparisons try, by their names."""

@@ -27,7 +27,6 @@ from jointid.estimation.robots.bodies import MISFIT, consistent_robot
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.inertial import MassProperties, is_physical, mass_properties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
-from jointid.models.springs import Spring
 from jointid.output.export.joint_model import JointModel, PDLaw, comments, number
 
 _GRAVITY = 9.81  # along -z, m/s2; what a link weighs does not depend on it, see `solid_of`
@@ -106,7 +105,7 @@ def _robot_of_joint(model: JointModel, name: str, *, rigid: bool) -> Robot:
     masses, joint, values = model.masses, model.joint, model.values
     *motor, (carried, viscous, coulomb, _, _) = masses.values()
     if isinstance(joint, FlexibleJoint) and not rigid:
-        law = Spring() if joint.spring.stepped else joint.spring
+        law = joint.spring.in_pieces
         spring = JointSpring(values["stiffness"], values["damping"], viscous, coulomb, law)
         beside = {p.name: values[p.name] for p in law.parameters if p.name not in ("stiffness", "damping")}
         own, *_ = motor
@@ -212,7 +211,7 @@ def losses_of_drives(robot: Robot, *, springs: bool) -> Iterator[str]:
         yield "the coupling of the motors; rotors and friction are those of the motors, at the joints"
     sprung = [(joint.name, joint.spring.law) for joint in robot.joints if joint.spring is not None]
     if springs:
-        yield from (f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in sprung if law.stepped)
+        yield from (f"{law.adds}, of {name}; what is written is {law.instead}" for name, law in sprung if law.adds)
     elif sprung:
         yield "the springs of the joints; the friction behind them stands with that of the motors"
 

@@ -266,7 +266,7 @@ class JointModel:
             law = f"{joint.spring.adds}; {joint.spring.instead} is written"
             found += [
                 ("spring", True, f"the spring of {joint.spring.describe(shown)} and its damping; {sums}"),
-                ("law of the spring", joint.spring.stepped, law),
+                ("law of the spring", joint.spring.adds, law),
             ]
         for name, mass in masses.items():
             size = f"{text.number(mass.coulomb)} {self.torque_unit}"
