@@ -22,10 +22,10 @@ from jointid.common.errors import JointidError
 from jointid.diagnostics.diagnosis import Diagnosis
 from jointid.estimation.parameters import mass_matrix_at
 from jointid.models.controllers import PD
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record, Timing
 from tests.estimation.robots.twin import arm
+from tests.models.robots.trees import inverse_dynamics
 from tests.robots_plants import seven, six
 
 _STEP, _SECONDS, _NOISE, _COUNT = 2e-3, 6.0, 0.01, 2e-6  # s, s, of each torque, and rad of the encoders

@@ -8,8 +8,7 @@ import pytest
 from jointid.common.errors import JointFileError
 from jointid.config.robot_model import load_robot, read_robot
 from jointid.models.limits import AxisLimits
-from jointid.models.robots.dynamics import inverse_dynamics
-from tests.models.robots.trees import as_mjcf, by_mujoco, random_robot
+from tests.models.robots.trees import as_mjcf, by_mujoco, inverse_dynamics, random_robot
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 

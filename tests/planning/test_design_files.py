@@ -11,8 +11,8 @@ import pytest
 
 import jointid as ji
 from jointid.config import load, loads
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.records.formats import read_table
+from tests.models.robots.trees import inverse_dynamics
 from tests.rigid_axis import run
 from tests.robots_plants import six, two
 

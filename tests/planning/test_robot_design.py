@@ -10,7 +10,6 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.didim import search_robot
 from jointid.models.limits import AxisLimits
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
 from jointid.planning import search as search_module
 from jointid.planning.design import design
@@ -20,6 +19,7 @@ from jointid.planning.search import complete, search
 from jointid.records.record import Channel, Record
 from jointid.simulation.synthesis import add_feed_forward, simulate
 from tests.estimation.robots.twin import identified, logged, torque_of
+from tests.models.robots.trees import inverse_dynamics
 from tests.robots_plants import inertial, two
 
 
@@ -135,12 +135,9 @@ def test_the_predicted_torque_is_the_friction_of_each_direction_too() -> None:
     found = design(robot, limits=LIMITS, duration=4.0, sample_time=T, motion=references(robot, q))
     np.testing.assert_allclose(found.proposed.torques.T, needed(robot, q, v, a), atol=1e-6)
     about = found.proposed.values
-    assert about["joint1.viscous_forwards"] == pytest.approx(first.viscous) and about[
-        "joint1.viscous_backwards"
-    ] == pytest.approx(25.0)
-    assert about["joint2.coulomb"] == pytest.approx(0.5 * (second.coulomb + 12.0)), (
-        "of both directions, beside an offset"
-    )
+    assert about["joint1.viscous_forwards"] == pytest.approx(first.viscous)
+    assert about["joint1.viscous_backwards"] == pytest.approx(25.0)
+    assert about["joint2.coulomb"] == pytest.approx(0.5 * (second.coulomb + 12.0))  # of both, beside an offset
 
 
 def test_the_predicted_torque_has_the_weight_that_is_grouped_with_an_offset() -> None:

@@ -59,7 +59,8 @@ _FOR_MODES = 0.2  # of speed and acceleration, kept for the multisine where ther
 _ABOUT = (0.6, 1.6)  # of a mode's frequency: the band of the multisine
 _LINES = 20
 _DRAWN, _SIMULATED = 20, 6  # robots that it may be, by the equations and under the controllers
-_OF_MASS = ("inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
+_OF_MASS = {"inertia": 0, "viscous": 1, "coulomb": 2, "offset": 3, "viscous_forwards": 4, "viscous_backwards": 5}
+_OF_MASS |= {"stribeck_force": 6, "coulomb_forwards": 2, "coulomb_backwards": 2}  # both as one
 _OF_SPRING = ("stiffness", "damping")
 _LEAST = 0.2  # of a number that is drawn: less is no robot that somebody declared
 
@@ -285,7 +286,7 @@ def robot_model(
     if loop is None:
         robot.require_linear("IDIM of a robot takes", "give every joint its controller")
     loop = None if loop is None else replace(loop, robot=robot)
-    drawn = () if not within else _draw_robots(robot, within, _SIMULATED if loop is not None else _DRAWN, seed)
+    drawn = () if not within else tuple(_draw_robots(robot, within, _SIMULATED if loop is not None else _DRAWN, seed))
     base, sizes = robot_parameters(robot.rigid, whole=False), np.ones(len(robot)) if noise is None else noise
     found = RobotModel((robot, *drawn), base, loop, *times, filtering, feed_forward, present, sizes, noise is None)
     if noise is None:
@@ -366,24 +367,22 @@ def _identified_robot(estimate: Estimate, loop: RobotLoop | None) -> Robot:
     return robot if loop is None or robot.flexible == loop.robot.flexible else loop.robot  # IDIM knows no springs
 
 
-def _draw_robots(robot: Robot, within: float, count: int, seed: int) -> tuple[Robot, ...]:
-    """Draw robots whose parameters deviate independently, with 2 sigma of `within` percent."""
+def _draw_robots(robot: Robot, within: float, count: int, seed: int) -> Iterator[Robot]:
+    """Yield robots whose parameters deviate independently, with 2 sigma of `within` percent."""
     rng, numbers = np.random.default_rng([seed, 1]), Numbers.of(robot)
 
     def factors(*shape: int) -> FloatArray:
         return np.maximum(1.0 + 0.005 * within * rng.standard_normal(shape), _LEAST)
 
-    found = []
     for k in range(count):
-        masses = factors(numbers.count, len(_OF_MASS))
+        masses = factors(numbers.count, 1 + max(_OF_MASS.values()))
         # Nothing moves a prediction as a mode does: the first two robots have the softest and the stiffest springs.
         ends = {0: max(1.0 - 0.01 * within, _LEAST), 1: 1.0 + 0.01 * within}
         springs = np.full((len(robot), 2), ends[k]) if k in ends else factors(len(robot), 2)
         drawn = {Place(i, name): by for i, two in enumerate(springs) for name, by in zip(_OF_SPRING, two, strict=True)}
         for (i, side), several in zip(numbers.sides, masses, strict=True):
             names = [Place(i, f"{side}{name}" if (side, name) != ("motor_", "offset") else name) for name in _OF_MASS]
-            drawn |= zip(names, several, strict=True)
+            drawn |= zip(names, several[[*_OF_MASS.values()]], strict=True)
         own = [place for place in drawn if place in numbers]
         moved = numbers.with_values(own, [numbers[place] * drawn[place] for place in own])
-        found.append(robot_with(robot, replace(moved, inertials=numbers.inertials * factors(len(robot), 1))))
-    return tuple(found)
+        yield robot_with(robot, replace(moved, inertials=numbers.inertials * factors(len(robot), 1)))

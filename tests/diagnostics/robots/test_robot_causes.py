@@ -9,11 +9,11 @@ from jointid.diagnostics.changes import AVERAGED, Cause
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.robot_causes import find_robot_cause
 from jointid.diagnostics.suspects import LOG_GAIN, FaultTest, Finding
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of
+from tests.models.robots.trees import inverse_dynamics
 
 FILTERING = Filtering(cutoff=10.0, decimation=15, position_cutoff=20.0)
 

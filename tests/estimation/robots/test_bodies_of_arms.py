@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import inertia_matrix, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.output.export import export
 from tests.estimates import errors_of_bodies
 from tests.estimation.robots.twin import identified, motion, records_of
+from tests.models.robots.trees import inverse_dynamics
 from tests.public_arms import ARMS, real_arm, urdf_of
 
 pytest.importorskip("mujoco")

@@ -13,12 +13,12 @@ from jointid.diagnostics.identify import identify
 from jointid.estimation.methods import Method
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.drive_side import RobotDriveSide
+from tests.models.robots.trees import inverse_dynamics
 
 Array = NDArray[np.float64]
 SAMPLE_TIME = 2e-3

@@ -7,11 +7,10 @@ import pytest
 
 from jointid.estimation.parameters import robot_parameters
 from jointid.models.robots.base_parameters import inverse_columns
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.simulation.plant import Numbers
 from tests.estimation.robots.twin import torque_of
-from tests.models.robots.trees import chain, random_robot
+from tests.models.robots.trees import chain, inverse_dynamics, random_robot
 
 DOWN = np.array([0.0, 0.0, -9.81])
 

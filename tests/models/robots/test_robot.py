@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from jointid.models.friction import Friction
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, RobotJoint
-from tests.models.robots.trees import chain
+from tests.models.robots.trees import chain, inverse_dynamics
 
 ARM = chain()
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from jointid.models.robots.dynamics import inverse_dynamics
+from jointid.models.robots.dynamics import regressor_of
 from jointid.models.robots.inertial import MassProperties, mass_properties
 from jointid.models.robots.robot import Link, Robot, RobotJoint, Tree
 
@@ -108,9 +108,14 @@ def order_in_mujoco(mujoco: Any, model: Any, robot: Robot) -> list[int]:
     return [int(model.jnt_dofadr[model.joint(name).id]) for name in robot.names]
 
 
+def inverse_dynamics(tree: Tree, inertials: Array, q: Array, v: Array, a: Array) -> Array:
+    """Return torques of a motion, (samples, n); inertials are (n, 10)."""
+    return np.asarray(regressor_of(tree, q, v, a) @ inertials.ravel())
+
+
 def torque_by_regressor(tree: Tree, inertials: Array, q: Array, v: Array, a: Array) -> Array:
     """Return the torque of one motion, (n,), from the regressor: it shares nothing with `equations`."""
-    return inverse_dynamics(tree, inertials, *(one[np.newaxis] for one in (q, v, a)))[0]
+    return np.ravel(inverse_dynamics(tree, inertials, *(one[np.newaxis] for one in (q, v, a))))
 
 
 def mass_matrix_by_regressor(tree: Tree, inertials: Array, q: Array) -> Array:

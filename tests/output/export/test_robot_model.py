@@ -10,12 +10,11 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.config.robot_model import read_robot
-from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import Spring
 from jointid.output.export import export
 from tests.estimation.robots.twin import arm
-from tests.models.robots.trees import by_mujoco, random_robot
+from tests.models.robots.trees import by_mujoco, inverse_dynamics, random_robot
 
 mujoco = pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 DOWN = np.array([0.0, 0.0, -9.81])

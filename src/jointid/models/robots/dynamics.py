@@ -193,8 +193,3 @@ def regressor_of(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray) -> Flo
         move_outwards(tree, room)
         regressor(tree, room, out[t])
     return out
-
-
-def inverse_dynamics(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-    """Torques of a motion, (samples, n); `inertials` are (n, 10)."""
-    return regressor_of(tree, q, v, a) @ inertials.ravel()
