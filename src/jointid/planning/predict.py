@@ -54,12 +54,12 @@ class Noise:
             MethodError: the estimate is not of a simulated loop as declared, or not of this record, or refuses a value.
         """
         rows = [p for p in estimate.rows if p.free]
-        freed = [p.name for p in rows if not p.of_joint and p.name not in INITIAL]
-        if estimate.settings.loop is None or freed or any(p.value is None or p.stderr is None for p in rows):
-            found = f"by {estimate.settings.method}" + (f" with {', '.join(freed)} free" if freed else "")
+        wrong = [f"{p.name} free" for p in rows if not p.of_joint and p.name not in INITIAL]
+        wrong += [f"no {p.name}" for p in rows if p.value is None or p.stderr is None]
+        if estimate.settings.loop is None or wrong:
             raise MethodError(
                 "A test is predicted from an estimate by DIDIM under the loop as declared, that gives every parameter; "
-                f"this one is {found}: design takes rough values, too."
+                f"this has {', '.join(wrong) or 'no loop'}: give rough values in Python, ji.design(loop, values=...)."
             )
         problem, x = rebuild_problem(estimate, record)
         error, slopes = problem.linearise(x)

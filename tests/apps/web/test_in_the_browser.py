@@ -83,7 +83,8 @@ def map_torque(visit: Visit) -> None:
 
 
 def fill_in_controller(visit: Visit) -> None:
-    visit.field("controller.law").select_option("cascade")
+    for key, word in {"joint.model": "rigid", "controller.law": "cascade"}.items():
+        visit.field(key).select_option(word)
     for key, value in LAW.items():
         visit.field(f"controller.{key}").fill(value)
     visit.page.get_by_text("Further lines of the joint file").click()
@@ -129,8 +130,7 @@ def test_emps_end_to_end(visit: Visit, emps_path: Path, tmp_path: Path) -> None:
     frame.get_by_role("heading", level=2).first.wait_for()
     with page.expect_download() as downloading:
         page.get_by_role("link", name="Joint file").click()
-    joint = tmp_path / "joint.toml"
-    downloading.value.save_as(joint)
+    downloading.value.save_as(joint := tmp_path / "joint.toml")
     assert run("identify", joint, "--record", emps_path, "--json", tmp_path / "again.json", "-q") == 0
     again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
     answer = page.context.request.get(f"{visit.address}runs/1/answer.json").json()

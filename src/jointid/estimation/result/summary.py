@@ -52,7 +52,7 @@ def _lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
     wrong = [one for one in checks if one.passed is False and (one.name == Subject.LOOP or one.code in reasons)]
     unseen = Trust.REFUSED, Reason.AT_BOUND, Reason.STIFFNESS_NOT_SHOWN, Reason.WIDE_INTERVAL, Reason.NO_INTERVAL
     if {trust.code, *reasons[:1]} & {*unseen, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES}:
-        yield "next", "record a motion that shows it: jointid design plans one"
+        yield "next", "record a motion that shows it" + ": jointid design plans one" * (trust.code != Trust.REFUSED)
     elif wrong:
         yield "next", f"{wrong[0].values.get('remedy') or 'correct what the first line names'}, and identify again"
     elif estimate.motion_measured:  # another record has the same bias
