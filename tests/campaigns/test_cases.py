@@ -155,10 +155,13 @@ def test_a_campaign_is_run_goes_on_and_is_told(
     assert run(*command, "--again") == 0
     assert "Run now: 1 of 4." in capsys.readouterr().out, "an answer that is not reliable stays"
     (fleet / "campaign.jsonl").write_text(text)
-    good = (fleet / "logs" / "b" / "2026-11-01.npy").read_bytes()
-    (fleet / "logs" / "b" / "2026-11-02.npy").write_bytes(good)
+    (fleet / "logs/b/2026-11-02.npy").write_bytes((fleet / "logs/b/2026-11-01.npy").read_bytes())
     assert run(*command) == 0
     assert "Run now: 1 of 4." in capsys.readouterr().out
+    joint = fleet / "joint.toml"
+    joint.write_text(joint.read_text().replace("velocity_gain = 2000.0\n", ""))  # which the sweep gives
+    (fleet / "campaign.toml").write_text(FLEET + '[sweep]\n"controller.velocity_gain" = [2000.0]\n')
+    assert run(*command) == 0
 
 
 @pytest.mark.usefixtures("fleet")

@@ -26,7 +26,6 @@ T = 1e-3
 
 @pytest.mark.parametrize("seed", [300, 304, 305, 308, 319, 323, 333, 339, 342, 352, 361])
 def test_columns_make_the_torque_of_the_law_itself(seed: int) -> None:
-    """Filters, clocks, delays, feed-forwards: two writings of one equation, on noisy twins of all laws."""
     twin = loop_twin(seed)
     fitter, size = Fitter(prepare_loop_record(twin.record)), np.std(twin.record.torque.values)
     law = fitter.law(twin.structure, twin.numbers)
@@ -46,7 +45,6 @@ def test_columns_make_the_torque_of_the_law_itself(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [304, 319, 333, 340])
 def test_gains_are_solved_for(seed: int) -> None:
-    """On a stretch, too: it begins in motion, with something in the integral."""
     twin = loop_twin(seed)
     fitter = Fitter(prepare_loop_record(twin.record).select_strongest(4000))
     near = {name: value for name, value in twin.numbers.items() if name != "integral"}
@@ -60,7 +58,6 @@ def test_gains_are_solved_for(seed: int) -> None:
 
 
 def test_of_two_rates_that_may_be_exchanged_the_larger_is_the_position_loop_s() -> None:
-    """On the reference's full velocity two gains are two roots of one equation: the same torque, to rounding."""
     twin = loop_twin(117)
     assert (twin.structure.law, twin.structure.reference_velocity) == ("P-PI", "full")
     fitter = Fitter(prepare_loop_record(twin.record))
@@ -77,7 +74,6 @@ def test_of_two_rates_that_may_be_exchanged_the_larger_is_the_position_loop_s() 
 
 
 def test_an_encoder_s_rounding_is_made_again() -> None:
-    """At an even speed it is a line: 38.2 steps per sample leave a fifth of the log's rate."""
     at = np.arange(4000)
     position = 38.2 * at + 300.0 * np.sin(2e-3 * at)
     logged = np.round(position)
@@ -92,7 +88,6 @@ def test_an_encoder_s_rounding_is_made_again() -> None:
 
 
 def test_what_a_law_faster_than_the_log_sees_of_the_log_s_error() -> None:
-    """An error of one sample, through the spline and the law, and back to the log's samples."""
     size, rate = 1000, 4
     law = PD(position_gain=3.0, derivative_gain=0.02, velocity_filter=FirstOrder(8e-4), period=T / rate).law(T)
     error = np.zeros(size)
@@ -137,7 +132,6 @@ def test_a_stretch_keeps_the_phase_of_a_slower_loop() -> None:
 @pytest.mark.parametrize("at", ["before_limit", "after_limit"])
 @pytest.mark.parametrize("averaged", [False, True], ids=["held", "averaged"])
 def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None:
-    """The known signal is in the torque of law and log, filtered with it where it is injected before the limit."""
     reference = ji.excitation.trapezoids([0.1, 0.3], 2.0, 0.2, T, 0.1, 4.0)
     known = ji.excitation.pulses(reference.size, T, height=20.0, width=0.02, every=0.2, seed=1)
     law = Cascade(position_gain=60.0, velocity_gain=500.0, torque_filters=(FirstOrder(2e-3),))
@@ -167,7 +161,6 @@ SEEDS = (57, 134, 140, 160, 180, 500, 506, 512)
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_without_a_law_as_much_is_heard_as_with_the_true_one(seed: int) -> None:
-    """Position loops every 2 to 8 periods, a notch, feed-forwards: no law is named to what listens."""
     twin = loop_twin(seed)
     log = prepare_loop_record(twin.record)
     louder = band_power(log.torque) / band_power((log.torque - run_law(log, twin.structure, twin.numbers)) * log.kept)
@@ -177,7 +170,6 @@ def test_without_a_law_as_much_is_heard_as_with_the_true_one(seed: int) -> None:
 
 
 def test_noise_is_not_heard() -> None:
-    """Where a loud noise covers the law's torque next to nothing is heard."""
     twin = loop_twin(134)
     torque = twin.record.torque
     size = 0.05 * np.std(torque.values)
@@ -192,7 +184,6 @@ def test_noise_is_not_heard() -> None:
 
 
 def test_a_long_record_needs_no_memory_for_all_columns_at_once() -> None:
-    """Some two hundred of them, of eight bytes a sample: an hour's would fill a machine."""
     law, peaks = Cascade(position_gain=60.0, velocity_gain=500.0), []
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     for duration in (20.0, 60.0):

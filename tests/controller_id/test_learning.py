@@ -38,7 +38,6 @@ def made(controller: Controller, step: float = 1e-7, *, short: bool = False) -> 
 
 @pytest.mark.slow
 def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> None:
-    """The record was cut by two samples at its begin, as a torque that is refreshed slowly has it cut."""
     record = made(
         Cascade(position_gain=60.0, velocity_gain=500.0, position_period=4 * T, position_offset=T), short=True
     )
@@ -49,7 +48,6 @@ def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> No
 
 @pytest.mark.parametrize("number", [600, 601])
 def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search itself takes long; here it finds the law of a twin at once, or the law of another torque."""
     twin = loop_twin(number)
     find_law(monkeypatch, twin.structure, twin.numbers)
     learned = learn_controller(twin.record)
@@ -106,7 +104,6 @@ def test_gains_come_out_in_controller_units(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_a_law_that_leaves_what_no_noise_leaves_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pulses that were not declared: with what was left, and the channel that is missing. Half of it was noise once."""
     twin = loop_twin(601)
     find_law(monkeypatch, twin.structure, twin.numbers)
     torque = twin.record.torque
@@ -119,7 +116,6 @@ def test_a_law_that_leaves_what_no_noise_leaves_is_refused(monkeypatch: pytest.M
 
 @pytest.mark.slow
 def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path) -> None:
-    """An axis of the KR300: a robot's controller looks at all of them, and at its model."""
     file = load(Path(__file__).resolve().parents[2] / "examples" / "kr300" / "axis3.toml")
     with pytest.raises(MethodError):
         learn_controller(file.record(data_dir / "kr300" / "rec_A.mat"))
@@ -147,7 +143,6 @@ def test_a_law_that_averages_its_reference_is_learned_with_its_time() -> None:
 
 
 def test_what_a_wrong_law_leaves_is_not_called_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A velocity that is a weighted difference of five positions is on no menu; a plain regression tells."""
     record = made(Cascade(position_gain=60.0, velocity_gain=500.0, velocity_filter=(0.1, 0.2, 0.3, 0.4)))
     find_law(monkeypatch, Structure(), GAINS)
     wrong = learn_controller(record)
@@ -156,7 +151,6 @@ def test_what_a_wrong_law_leaves_is_not_called_noise(monkeypatch: pytest.MonkeyP
 
 
 def test_of_laws_alike_a_much_simpler_one_is_taken() -> None:
-    """Where the encoder hides a filter, a law of many parts explains a little of its steps."""
     fitter = Fitter(prepare_loop_record(made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True)))
     laws = (
         Structure(velocity_filter="mean 6"),

@@ -128,7 +128,6 @@ def test_the_law_is_seen_in_the_motor_s_position_alone() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["DATA_EMPS", "DATA_EMPS_PULSES"])
 def test_a_real_axis_is_looked_over(name: str, data_dir: Path) -> None:
-    """Its friction at standstill is none of the model's, which moves its inertia by less than its interval."""
     file = load(Path(__file__).parents[2] / "examples" / "emps" / "joint.toml")
     record = file.record(data_dir / "emps" / f"{name}.mat")
     assert file.loop is not None

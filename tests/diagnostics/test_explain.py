@@ -91,11 +91,11 @@ def test_no_time_constant_is_near_a_filter_of_another_kind_and_a_late_log_is_tol
 
 
 def test_a_search_takes_the_beginning_of_a_long_record_that_moves_both_ways() -> None:
-    record, loop = without_mistake(axis("fast"))  # of 8 s, at 4 kHz
+    record, _ = without_mistake(axis("fast"))  # of 8 s, at 4 kHz
     moves = np.argmax(np.diff(record.reference.values) != 0.0) / 4e3
-    assert searching._begin(Case(record, loop, ji.Filtering())).torque.duration == pytest.approx(moves + 5.0, abs=1e-3)
+    assert searching.begin_record(record, 5.0).duration == pytest.approx(moves + 5.0, abs=1e-3)
     one_way = record.with_channels({"reference": replace(record.reference, values=np.arange(32_000.0))})
-    assert searching._begin(Case(one_way, loop, ji.Filtering())).record is one_way
+    assert searching.begin_record(one_way, 5.0) is one_way and searching.begin_record(record, 9.0) is record
 
 
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
@@ -121,7 +121,6 @@ def test_a_search_that_fails_hides_no_error_and_ends_no_identification(failure: 
 
 @pytest.mark.slow
 def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
-    """A flexible joint that is taken for a rigid one, up to beyond its resonance: the drive is as declared."""
     healthy = twin("L19", noise="white")
     record = healthy.record.without("motor_position", "load_position")
     loop = replace(healthy.loop, joint=healthy.loop.joint.rigid)
@@ -165,7 +164,6 @@ def test_a_law_is_the_answer_where_a_record_is_too_short_for_free_responses() ->
 @pytest.mark.parametrize("name", ["rigid", "direct", "screw"])
 @pytest.mark.parametrize("mistake", MORE, ids=[one.name for one in MORE])
 def test_what_the_samples_show_is_said_without_a_search(name: AxisName, mistake: Any, monkeypatch: Any) -> None:
-    """A record that is too short, and a signal that was injected and is not declared."""
     monkeypatch.setattr(searching, "list_cases", Mock(side_effect=AssertionError("causes were put right in turn")))
     assert set(tell(*mistake.make(axis(name), 1))[0]) == mistake.right
 
@@ -176,7 +174,6 @@ def test_nothing_is_plain_of_a_healthy_record(name: AxisName) -> None:
 
 
 def test_a_record_that_moves_one_way_only_tells_nothing_however_long_it_is() -> None:
-    """Coulomb friction and offset are one number then: a factor of 7,500 was named."""
     record, loop = without_mistake(axis("rigid"))
     message = find_causes(cut(without_positions(record), 2.0), loop).message
     assert (message.code, message.values["needed"]) == (Reason.RECORD_TOO_SHORT, 2.0)
@@ -197,7 +194,6 @@ def test_a_record_too_short_is_not_relied_on_however_well_it_fits() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("times", [180 / np.pi, np.pi / 180])
 def test_gain_in_degrees_is_told_beside_an_unknown_delay(times: float) -> None:
-    """The search begins at the factors of units, and the delay is as free as in the identification."""
     law = ji.controller.PD(position_gain=60.0, derivative_gain=4.0, period=1e-3)
     reference = trapezoids((0.5, 1.0), 10.0, 1.0, 4e-3, duration=4.0)
     pulses = ji.excitation.pulses(reference.size, 4e-3, height=3.0, width=0.05, every=0.3, seed=0)
@@ -310,7 +306,6 @@ def test_cases_start_again_at_the_joint_of_the_best_case() -> None:
 
 
 def test_no_step_leads_to_a_mode_that_the_log_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a bound the search for a feed-forward that is not declared makes the spring stiffer and stiffer."""
     tried, linearise = list[float](), ClosedLoopProblem.linearise
     note = lambda p, x: tried.append(p.values(x).get("stiffness", 0.0)) or linearise(p, x)  # type: ignore[func-returns-value]  # noqa: E731
     monkeypatch.setattr(ClosedLoopProblem, "linearise", note)
@@ -330,7 +325,6 @@ def test_a_gain_that_is_little_off_is_named_only_where_no_test_gives_it() -> Non
 
 @pytest.mark.slow
 def test_a_refused_spring_is_no_reason_to_look_for_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A healthy drive that moves one way only."""
     plant = drive(323, 12.0)
     monkeypatch.setattr(searching, "find_causes", lambda *_, **__: pytest.fail("it was asked"))
     found = ji.identify(plant.record, plant.loop)

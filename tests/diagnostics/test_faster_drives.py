@@ -33,7 +33,6 @@ def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[AxisFaults, 
 
 @pytest.mark.parametrize("times", [2, 8])
 def test_a_drive_that_runs_faster_than_its_log_is_named(times: int) -> None:
-    """With the rate that fits best, and before the delay that would explain much of it."""
     check, value, _, corrected = _checked(*drive(CASCADE, times, noise=0.05), "inertia")
     first = check.findings[0]
     assert first.test.fault is PERIOD
@@ -46,7 +45,6 @@ def test_a_drive_that_runs_faster_than_its_log_is_named(times: int) -> None:
 
 
 def test_what_the_log_leaves_open_of_the_reference_is_tried_both_ways() -> None:
-    """A law that differentiates it sees straight lines late, and another rate would make up for that."""
     check, _, _, _ = _checked(*drive(SERVO, 8, noise=0.05), "inertia")
     first = check.findings[0]
     assert 'interpolation = "cubic"' in str(check.reasons[0])
@@ -61,7 +59,6 @@ def test_a_drive_that_runs_at_the_rate_of_its_log_is_not_blamed(law: Cascade | P
 
 
 def test_a_declared_period_is_not_doubted() -> None:
-    """Nothing is simulated at another one."""
     record, loop = drive(CASCADE, 8)
     declared = replace(loop, controller=replace(CASCADE, delay=LOG / 8, period=LOG / 8))
     estimate = identify(record, declared)
@@ -88,7 +85,6 @@ def _filled_in(way: str, law: Cascade | PD = CASCADE) -> tuple[Record, ClosedLoo
 
 @pytest.mark.parametrize(("law", "way"), [(CASCADE, "hold"), pytest.param(SERVO, "cubic", marks=pytest.mark.slow)])
 def test_a_reference_that_is_filled_in_otherwise_is_named(law: Cascade | PD, way: str) -> None:
-    """Without the check the inertia is many deviations off, and relied on."""
     record, loop = _filled_in(way, law)
     estimate = ji.identify(record, loop)
     row = estimate["inertia"]
@@ -143,7 +139,6 @@ def test_a_reference_that_is_filled_in_as_declared_and_a_coarse_one_that_is_held
 
 @pytest.mark.slow
 def test_what_moves_a_value_by_less_than_a_thousandth_is_in_its_interval() -> None:
-    """The log of a simulator has hardly any noise: it shows how the reference is filled in, which is worth 0.02 %."""
     record, loop = drive(CASCADE, 10, noise=1e-4)
     found = ji.identify(record, replace(loop, controller=replace(CASCADE, period=1e-4, delay=1e-4)))
     inertia = found["inertia"]

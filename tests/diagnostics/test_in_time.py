@@ -2,15 +2,17 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.diagnostics import search
 from jointid.diagnostics.search import find_part
 from jointid.estimation.result.verdict import Reason, Subject
 from studies import healthy, robot_mistakes
-from tests.estimates import beside_tables
+from tests.estimates import beside_tables, faults_of
 from tests.frozen.cases import faulty
 
 STEP, BEGIN, END = 1e-3, 3.0, 3.8  # s, of the log and of a push
@@ -46,6 +48,26 @@ def test_a_push_is_found_in_its_part_of_the_time_and_no_fault_is_named(size: flo
 def test_a_push_that_the_fit_follows_is_found_too() -> None:
     (loop,) = faulty("a_push", "rigid").about(Subject.LOOP)  # from 1.7 to 2.3 s
     assert loop.code is Reason.MISFIT_IN_PART and 1.6 < loop.values["begin"] < loop.values["end"] < 2.4
+
+
+def test_the_checks_of_a_long_record_read_its_beginning_and_diagnose_reads_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jointid.diagnostics.identify._PERIODS", 2500)
+    plain = pushed(0.0).without("motor_position")
+    found = ji.identify(plain, LOOP)
+    assert "2.5 s" in found.warnings[-1] and found.diagnosis.torques.time[-1] < BEGIN
+    for whole in (ji.identify(plain, LOOP, checks="whole").diagnosis, ji.diagnose(plain, LOOP)):
+        assert whole.torques.time[-1] > 7.0
+    (loop,) = ji.identify(pushed(0.2).without("motor_position"), LOOP).about(Subject.LOOP)
+    assert loop.code is Reason.MISFIT_IN_PART  # which is seen in all of the record
+
+
+def test_a_fault_that_no_correction_lowers_is_not_dropped_beside_a_weaker_friction(monkeypatch: Any) -> None:
+    record, find = pushed(0.0).without("motor_position"), search._find
+    stuck = lambda found, test: (find(found, test)[0], find(found, test)[1] if test.fault.of_model else found)  # noqa: E731
+    monkeypatch.setattr(search, "_find", stuck)
+    wrong = replace(LOOP, controller=replace(LOOP.controller, velocity_gain=2.2))
+    faults = faults_of(ji.identify(record, wrong, checks=False), record)
+    assert all(one.test.fault.of_model for one in faults.findings) and 0.0 < faults.explained < 0.5
 
 
 def test_noise_that_comes_back_is_no_part() -> None:

@@ -186,7 +186,6 @@ def solve_geared(record: ji.Record) -> tuple[ClosedLoopProblem, FloatArray]:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 8])
 def test_noise_on_the_log_does_not_hide_a_friction_that_grows_with_the_load(seed: int) -> None:
-    """A little of the noise passes for a force in the loop; scaled to all of it, none of the faults was significant."""
     wrong = replace(GEARED_LOOP, joint=ji.FlexibleJoint("revolute", friction=ji.friction.Friction("load-dependent")))
     posed, x = solve_geared(geared(seed, 0.004, wrong, load_friction_per_torque=0.06))
     run = posed.simulate(x)

@@ -26,7 +26,6 @@ T = 1e-3
     PID(position_gain=20.0, derivative_gain=0.5, integral_gain=300.0),
 ])  # fmt: skip
 def test_the_other_law_is_backward_eulers(declared: Cascade | PID) -> None:
-    """Written out: the sum has the present error before the output is made."""
     rng = np.random.default_rng(0)
     inputs = np.zeros((200, INPUTS))
     inputs[1:, REFERENCE], inputs[1:, POSITION] = rng.standard_normal((2, 199))
@@ -56,7 +55,6 @@ def test_only_a_law_with_an_integral_has_another_one() -> None:
 
 @pytest.mark.slow
 def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> None:
-    """Of a sensor, or an observer: it is half a period earlier, which a drive of twice the rate is, too."""
     made = _quiet()
     declared = replace(made.controller, velocity_filter=(1.0,))
     earlier = replace(declared, velocity_filter=(1.5, -0.5))
@@ -79,7 +77,6 @@ def _checked(*, present: bool) -> tuple[Estimate, Record, AxisFaults]:
 
 @pytest.mark.slow
 def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
-    """Both gains move together, and the inertia is the true one with it."""
     estimate, record, check = _checked(present=True)
     found = check.findings[0]
     assert found.test.fault is PRESENT_SAMPLE

@@ -125,7 +125,6 @@ def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
 
 
 def test_a_motion_is_written_as_robots_play_it() -> None:
-    """As the joints move, not the shafts: the wrist is coupled."""
     twin, period = six(), 2e-3
     joints = (*twin.robot.joints[:-1], replace(twin.robot.joints[-1], coupling={"joint5": 0.5}))
     robot = replace(twin.robot, joints=joints)

@@ -83,7 +83,6 @@ def test_without_a_record_a_test_keeps_limits_of_jerk_and_positions(monkeypatch:
 
 
 def test_no_plan_comes_below_the_floor() -> None:
-    """Of tests that keep the axis moving, as the floor has it."""
     limits, hertz = ji.AxisLimits(stroke=0.2, rms_torque=50.0), 60.0
     for name in ("stiffness", "motor_viscous - load_viscous", "motor_inertia"):
         goal = parse_goal(name, {p.name: AXIS.loop.joint.unit(p) for p in AXIS.loop.joint.parameters})
@@ -105,7 +104,6 @@ def test_no_plan_comes_below_the_floor() -> None:
 
 
 def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
-    """What is told of the two viscous frictions is told at antiresonance and resonance, not between them."""
     goal = parse_goal("motor_viscous - load_viscous", {"motor_viscous": "N s/m", "load_viscous": "N s/m"})
     floor = least_deviation(
         AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal, ji.AxisLimits(stroke=0.2, rms_torque=50.0), samples=SHORT,
@@ -183,7 +181,6 @@ def test_every_family_plays_within_its_ranges() -> None:
 
 @pytest.mark.slow
 def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An axis that begins at 1.2 rad, holds a weight, logs its reference at a quarter of the rate, injects early."""
     count_trials(monkeypatch)
     loop = ji.ClosedLoop(
         ji.RigidJoint("revolute", gravity=ji.Gravity("constant")),

@@ -40,7 +40,6 @@ def test_the_noise_of_a_first_record_gives_its_own_intervals_back() -> None:
 
 
 def test_what_a_test_does_not_tell_has_no_bound() -> None:
-    """At rest nothing is told, and in one direction an offset is friction, too."""
     still, one_way = (planned_record(LOOP, reference, T) for reference in (np.zeros(3000), np.arange(3000) * 2e-4))
     assert np.all(np.isinf(list(predict_test(LOOP, TRUTH, still, Noise(log=0.01)).std.values())[:3]))
     told = predict_test(LOOP, TRUTH, one_way, Noise(log=0.01))

@@ -1,9 +1,7 @@
 """Spectra, frequency response and profile intervals of an estimate.
 
-Spectra are those of the measured and the predicted torque, and of their difference. The response is that from the
-motor's torque to the velocities of the joint's two sides, of the linear part (`models.linear`), moving forwards.
-
-A profile follows the criterion where it is no parabola, as for a stiffness that is barely identifiable.
+The response is that of the linear part (`models.linear`), moving forwards. A profile follows the criterion where it is
+no parabola, as for a stiffness that is barely identifiable.
 """
 
 from __future__ import annotations

@@ -6,8 +6,7 @@ or N^2. So one change stands for all of them. The factor is a hint: 57.3 is an a
 add one, write its correction, its text and its row.
 
 Laws that a drive may run instead of the declared one, with the same settings, are rows, too; `list_variants` yields
-them. An integral may sum up the present error: a PI of 1 kHz and 20 ms is then 5 % stiffer, and the stiffness that is
-identified under the other law wrong by 6 % without a worse fit. An averaged reference is late by half that time.
+them. An integral may sum up the present error, and an averaged reference is late by half that time.
 """
 
 from __future__ import annotations

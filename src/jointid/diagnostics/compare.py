@@ -1,9 +1,8 @@
 """The verb `compare`: which quantities of a joint changed between two estimates.
 
 The difference of two independent estimates of a quantity has the sum of their variances, and is tested against 0 with
-the normal distribution. Many quantities are tested at once, so the p-values are adjusted by Holm (1979): with nothing
-changed, the probability that any of them falls below the level is at most the level. Two estimates of one record share
-their errors; their differences come from the settings and are shown without a test.
+the normal distribution. The p-values are adjusted for all quantities together by Holm (1979). Two estimates of one
+record share their errors: their differences are shown without a test.
 """
 
 from __future__ import annotations

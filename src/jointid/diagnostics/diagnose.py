@@ -10,6 +10,7 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 from jointid.common.errors import JointidError, MethodError
@@ -19,7 +20,7 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import number
 from jointid.diagnostics.diagnosis import JOINT_DIFFERS, Diagnosis, Symptom, diagnose_robot
 from jointid.diagnostics.explain import explain_failure
-from jointid.diagnostics.identify import identify
+from jointid.diagnostics.identify import begin_checked, identify
 from jointid.diagnostics.law_comparison import LawComparison, compare_laws
 from jointid.diagnostics.model_free import Agreement, compare_law, find_plain_cause
 from jointid.estimation.methods import Method
@@ -96,6 +97,8 @@ def diagnose(
     found, compared = Diagnosis(first.name), list[LawComparison]()
     if not any(one.code in _ENOUGH for one in symptoms):
         try:
+            if loop is not None and len(axes) == 1 and begin_checked(first, loop) is not first:
+                search = partial(identify, checks="whole")
             estimate = search(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
         except JointidError as error:
             told = error if error.code else explain_failure(error, first, loop if len(axes) == 1 else None, progress)

@@ -1,8 +1,7 @@
 """Diagnosis of an estimate by axis: faults of loop, log and joint.
 
 The residual torque is tested for whiteness, and for the signature of each fault. The controller's torque is compared
-along the logged motor position, without a model of the axis, so that its faults are distinguished from those of the
-model.
+along the logged motor position, which distinguishes its faults from those of the model.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """Search for the cause of a misfit between record and declared drive.
 
-Sensitivities show small deviations of one number (`search`); for a large one the best fit among them is any number.
-So each mistake is corrected in turn (`changes`), the joint is identified again, and the causes are ranked by residual.
-
-Of each case the best start is followed for a few steps, then as long as a step promises a part of what it lacks to be
-as good as the best. A flexible joint begins as it was identified, if nearly right; else as rigid, far below its
-resonance, then in the whole band with a mode, at last at the joint of the best case, the nearest to the right one.
+Sensitivities show small deviations of one number (`search`). For large ones each mistake is corrected in turn
+(`changes`), the joint is identified again, and the causes are ranked by residual. Of each case the best start is
+followed for a few steps, then as long as a step promises a part of what it lacks to be as good as the best. A flexible
+joint begins as it was identified, if nearly right; else as rigid, far below its resonance, then with a mode.
 
 The search assumes one mistake. A number may absorb much of two: so the residual of a cause must be about that of free
 linear responses to the reference (`model_free`), and the likeliest fault beside it may not be an impossible one.
@@ -237,15 +235,17 @@ def find_causes(
     responses = 0.0 if posed is None else model_free.find_unexplained_share(posed, declared.reference.values)
     if responses > _UNRELATED and not loop.joint.forces:  # those of the position answer no reference
         return Causes(left, unexplained=responses)
-    declared = _begin(declared)
+    declared = replace(declared, record=begin_record(
+        record, max(_SECONDS, _ENOUGH * max(declared.period, min(declared.torque.sample_time, _FASTEST)))
+    ))  # fmt: skip
     tried = list_cases(declared)
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
     flexible = loop.joint.model == "flexible"  # and rigid far below its resonance
     solved: dict[str, Any] = {} if estimate is None else {row.name: row.value for row in estimate.rows}
-    begin = None
-    if posed is not None and flexible and left <= _SUSPICIOUS and None not in solved.values():
-        begin = Fit(declared, posed, posed.vector(solved))  # a joint that is nearly right
-    known = [] if begin is None else [_list_flexible_starts(replace(begin, case=one), begin) for one in tried]
+    known = list[Iterator[Fit]]()
+    if posed is not None and flexible and left <= _SUSPICIOUS and None not in solved.values():  # nearly right
+        begin = Fit(declared, posed, posed.vector(solved))
+        known = [_list_flexible_starts(replace(begin, case=one), begin) for one in tried]
     fits = _race(known or [_list_rigid_starts(one) for one in tried], 0.0 if known else _ROUGHLY * flexible)
     if flexible:
         near = [one for one in fits if one.error <= max(_BEHIND * fits[0].error, fits[0].error + _ROUGHLY)]
@@ -280,21 +280,23 @@ def find_causes(
     explaining = _explaining(candidates, left, declared, None not in solved.values())
     best = explaining[0] if explaining else None
     # In a loop that rings for long, responses as short as these leave much, too.
-    times = _MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE
-    more = best and best.left > (min(times * responses, _FITS) if responses > 0 else _FITS)
+    most = responses * (_MORE_OF_POSITION if best is not None and best.name == "reference_is_position" else _MORE)
+    more = best and best.left > min(most or _FITS, _FITS)
     for fit in [one for one in fits if best and not more and one.error == best.left and one.case.change][:1]:
         likeliest = SolvedLoop(fit.problem, fit.x).tests[:1]
         more = any(one.p_value <= LEVEL and not one.possible for one in likeliest)
     return Causes(left, () if more else explaining, best if more else None, responses)
 
 
-def _begin(case: Case) -> Case:
-    """The case with the beginning of a long record, if it moves both ways."""
-    asked, step = case.reference, max(case.period, min(case.torque.sample_time, _FASTEST))
-    seconds = asked.sample_time * int(np.argmax(asked.values != asked.values[0])) + max(_SECONDS, _ENOUGH * step)
-    begun = ((name, one, math.ceil(seconds / one.sample_time)) for name, one in case.record.items())
-    part = case.record.with_channels({name: replace(one, values=one.values[:size]) for name, one, size in begun})
-    return case if model_free.find_too_short(part) else replace(case, record=part)
+def begin_record(record: Record, seconds: float) -> Record:
+    """The beginning of a record, from its first motion on; itself if that moves one way, or is no shorter."""
+    asked = record.reference or record.motor_position
+    if asked is None or seconds >= record.duration:
+        return record
+    seconds += asked.sample_time * int(np.argmax(asked.values != asked.values[0]))
+    begun = ((name, one, math.ceil(seconds / one.sample_time)) for name, one in record.items())
+    part = record.with_channels({name: replace(one, values=one.values[:size]) for name, one, size in begun})
+    return record if model_free.find_too_short(part) else part
 
 
 def list_cases(declared: Case) -> list[Case]:

@@ -1,10 +1,9 @@
 """`identify`: estimate and checks from one record, several, or a long log.
 
-What the record does not exclude widens the intervals: undeclared elements of the loop, and faults that were found or
-are suspected. An element is a filter of velocity or torque, a delay, or a loss of the gear. One of size s changes the
-torque by ``s c``. An estimate without it is off by ``s (J' J)^-1 J' c``, J the columns of its parameters. The score
-test of c beside J gives s with its deviation. Without a record the element is as likely as none, and s is normal with
-half of the usual size as its root mean square, none included. The interval holds the shift by that of s given the test.
+What the record does not exclude widens the intervals: faults, and undeclared elements (a filter of velocity or torque,
+a delay, a loss of the gear). One of size s changes the torque by ``s c``, and the estimate by ``s (J' J)^-1 J' c``, J
+the columns of its parameters. The score test of c beside J gives s with its deviation. Without a record the element is
+as likely as none, and s is normal with half of the usual size as its root mean square, none included.
 """
 
 from __future__ import annotations
@@ -26,17 +25,18 @@ from jointid.common.text import in_words, join, number
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis, diagnose_joint, diagnose_robot
-from jointid.diagnostics.explain import FAILS, Causes, explain_misfit
+from jointid.diagnostics.explain import FAILS, Causes, begin_record, explain_misfit
 from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import score
-from jointid.diagnostics.search import find_part_of_loop
+from jointid.diagnostics.search import TOLERANCE, find_part_of_loop
 from jointid.diagnostics.suspects import DELAY, FAULTS, TORQUE_FILTER, VELOCITY_FILTER, Fault, FaultSignature, Finding
+from jointid.estimation.descent import descend
 from jointid.estimation.force_in_loop import MATTERS, TOLD
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.identify import windows_of
 from jointid.estimation.methods import Method
 from jointid.estimation.problems.inverse_model import decimate_each
-from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog
+from jointid.estimation.problems.simulated import ClosedLoopProblem, LoopLog, loop_log
 from jointid.estimation.result.estimate import Estimate, EstimatedParameter
 from jointid.estimation.result.verdict import SLIGHT, Check, Checked, Reason, Subject, Widening, assemble, checks_of
 from jointid.estimation.robots.simulated import IdentifiedRobot, solve_again
@@ -54,6 +54,7 @@ from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
 _fail = partial(checks_of, Subject.LOOP, False)
+_PERIODS = 100_000  # of controller or log, of which the checks of a joint take 20 s of processor at most
 LATER = {"later": True}  # values of a check that was left out on request, and is made up for by `check_later`
 
 
@@ -68,7 +69,7 @@ def identify(
     parameters: Mapping[str, Parameter] | None = None,
     several: Mapping[str, Any] | None = None,
     windows: float | Literal[False] | None = None,
-    checks: bool = True,
+    checks: bool | Literal["whole"] = True,
     progress: Progress = ignore_progress,
 ) -> Estimate:
     """Identify a joint, or a robot, from what its drives logged.
@@ -94,8 +95,9 @@ def identify(
         windows: seconds of the windows of a log. With it records in memory are identified in windows, too, of a joint
             or robot by DIDIM. Those that may take too much memory at once are identified in windows without it, of
             which one is checked. False identifies them at once.
-        checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
-            record, by a DIDIM that ends at the least squares. Without them, the verdict on the loop says so.
+        checks: whether to check controller, log and model: of one record, by a DIDIM that ends at the least squares.
+            Without them, the verdict on the loop says so. Of a joint they simulate 100,000 periods of controller or log
+            from its first motion on, for 20 s of processor or less; "whole" ones simulate all.
         progress: called with each step in a sentence.
 
     Raises:
@@ -132,7 +134,7 @@ def identify(
         return assemble(fit if broken is None else fit.warn(broken.words))
     if not checks:
         return replace(assemble(fit, _untested("not checked", LATER)), x=checked.x)
-    return assemble(fit, *run_checks(checked, progress))
+    return assemble(fit, *run_checks(checked, progress, whole=checks == "whole"))
 
 
 @one_thread()
@@ -155,29 +157,41 @@ def _untested(why: str, values: Mapping[str, object] | None = None) -> tuple[Che
     return checks_of(Subject.LOOP, None, Message(Reason.NOT_TESTED, why, values or {}))
 
 
-def run_checks(fit: Estimate, progress: Progress = ignore_progress) -> Checked:
+def run_checks(fit: Estimate, progress: Progress = ignore_progress, *, whole: bool = False) -> Checked:
     """Results of a fit's checks; none without simulated loop or single record.
 
-    Checks that the record does not allow are left out, as of the loop if a parameter is not identifiable. The verdict
-    on the loop states an exception, or the cause of a misfit, for which sensitivities are misleading.
+    Checks that the record does not allow are left out. The verdict on the loop states an exception, or the cause of a
+    misfit, for which sensitivities are misleading.
     """
     try:
         if fit.robot is not None:
             return _check_robot(fit, fit.robot, progress)
         if fit.records and fit.problem is not None and fit.x is not None:
-            return _check_joint(fit, fit.problem, fit.x, progress)
+            return _check_joint(fit, fit.problem, fit.x, progress, whole)
     except Exception as error:  # an estimate is worth more than any check of it
         said = f"a check failed, which is a fault of jointid ({type(error).__name__}: {error})"
         return checks_of(Subject.LOOP, None, Message(Reason.CHECK_FAILED, said)), (), None
     return (), (), None
 
 
-def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progress: Progress) -> Checked:
+def begin_checked(record: Record, loop: ClosedLoop) -> Record:
+    """The part of a record that the checks of a joint read: of a long one its beginning."""
+    step = min(channel.sample_time for _, channel in record.items())
+    return begin_record(record, _PERIODS * min(getattr(loop.controller, "period", None) or step, step))
+
+
+def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progress: Progress, all_of: bool) -> Checked:
     """Return the checks of a joint's fit; see `run_checks`."""
-    record = fit.records[0]
-    if (broken := find_broken_part(record)) is not None:
-        return _fail(broken), (), None
-    found, searched = None, list[Causes | None]()
+    record, found, searched, said = fit.records[0], None, list[Causes | None](), list[Widening]()
+    broken = find_broken_part(record)
+    if not all_of and (part := begin_checked(record, problem.loop)) is not record:
+        broken = broken or find_part_of_loop(problem, x, record)
+        problem = replace(problem, logs=(loop_log(problem.loop, [part], problem.joint.model, problem.filtering),))
+        x, record = descend(problem, x, TOLERANCE).x, part
+        fit = replace(fit, problem=problem, x=x)
+        said = [({}, f"checks read the first {part.duration:.3g} s of the record: jointid diagnose reads all")]
+    if broken is not None:
+        return _fail(broken), said, None
     progress("checking loop and log")
 
     def explain(findings: Sequence[Finding] | None) -> bool:
@@ -196,11 +210,11 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     except FAILS as error:
         loop = _untested(f"not checked: {error}")
     faults = None if found is None else found.axes[0].faults
-    part = find_part_of_loop(problem, x, record) if faults is None else faults.part
-    if part is not None:
-        return _fail(part), (), found
+    apart = find_part_of_loop(problem, x, record) if faults is None else faults.part
+    if apart is not None:
+        return _fail(apart), said, found
     if explain(None if faults is None else faults.findings):
-        return _fail(*(one.message for one in searched if one is not None)), (), found
+        return _fail(*(one.message for one in searched if one is not None)), said, found
     law = None if found is None else found.axes[0].law
     named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
@@ -212,7 +226,7 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
         record = replace(record, reference=path, injected=None)
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
         loop = _fail(short)
-    return loop, () if found is None else _widen(fit, found), found
+    return loop, said if found is None else [*_widen(fit, found), *said], found
 
 
 def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:

@@ -1,10 +1,9 @@
 """Cross-validation of spring and friction laws on held-out parts of a record.
 
-A law with more parameters always has the smaller error on the fitted data; on other data only if its terms are real.
-So the record is cut into consecutive parts, and every third of them is held out, in turn: the fit to the whole
-record moves by one Gauss-Newton step to that of the other rows. Each law is compared with the one that predicts the
-held-out parts best, by the mean logarithm of the ratio of their squared errors in each part. Among the laws whose mean
-is at most three standard errors above 0, or whose error is hardly larger, the one with the fewest parameters is chosen
+The record is cut into consecutive parts, and every third of them is held out, in turn: the fit to the whole record
+moves by one Gauss-Newton step to that of the other rows. Each law is compared with the one that predicts the held-out
+parts best, by the mean logarithm of the ratio of their squared errors in each part. Among the laws whose mean is at
+most three standard errors above 0, or whose error is hardly larger, the one with the fewest parameters is chosen
 (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3, with one standard error).
 """
 

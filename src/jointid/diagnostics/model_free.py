@@ -1,15 +1,11 @@
 """Tests of a record without a model of its joint.
 
-The samples show too little motion, missing samples, a drive that is off. A record that is too short, or moves in one
-direction only, fits many drives: Coulomb friction and offset are then inseparable.
-
-`compare_law` compares the logged torque with the torque of the declared controller for the logged motor position. So
-law, delay and the gain of the log are tested before a joint is identified. If the law reproduces the logged torque,
-`excludes` excludes other laws and logs, for any joint.
+The samples show too little motion, missing samples, a drive that is off. `compare_law` compares the logged torque with
+that of the declared controller for the logged motor position: law, delay and gain of the log. If the law reproduces the
+torque, `excludes` excludes other laws and logs, for any joint.
 
 `find_unexplained_share` fits free linear responses. A linear loop answers its reference linearly, and Coulomb friction
-is one more input of it, the sign of the velocity. The residual is about that of the right controller and joint: a cause
-with a clearly larger residual does not explain everything.
+is one more input of it, the sign of the velocity. A cause with a clearly larger residual does not explain everything.
 """
 
 from __future__ import annotations

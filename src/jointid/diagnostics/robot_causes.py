@@ -1,9 +1,8 @@
 """Causes of a robot's misfit: base, gear, order, coupling, length.
 
 Each is a change of the log or of the model, with which the inverse model is solved again on some hundred instants. Its
-numbers are searched on a grid, then by descent (variable projection). The rows of each joint are divided by the size of
-its error as declared, so the sum of squares is the number of joints before a cause is corrected. The cause that lowers
-it most is named. To add one, yield its row in `_changes`.
+numbers are searched on a grid, then by descent (variable projection). Of the squares of all joints, each relative to
+its error as declared, the cause that lowers the sum most is named. To add one, yield its row in `_changes`.
 """
 
 from __future__ import annotations

@@ -1,20 +1,17 @@
 """Score test of each single fault, beside a solved problem's parameters.
 
-The signature of a fault is one column: the change of the filtered torque per unit of its size, at fixed parameters of
-the joint. With J the sensitivities of the free parameters and c the column of a fault, the residual e of the problem is
-regressed on both. The last coefficient is the size of the fault, and its ratio to its deviation the statistic. Before
-that, e, J and c go through one filter that makes the noise nearly white: the prediction error of an autoregressive
-model of the part of e that no fault explains. So the statistic is nearly that of the likelihood. It distinguishes the
-gains of a law from each other and from that of the log; plain least squares, in a loop that shapes the noise, does not.
+The residual of the problem is regressed on the sensitivities of its free parameters and on the column of a fault: the
+change of the filtered torque per unit of its size. The coefficient is that size. Before that, all go through the
+prediction error filter of an autoregressive model of what no fault explains: plain least squares does not distinguish
+the gains of a law from each other in a loop that shapes the noise.
 
-The deviation is the autocorrelation-robust one of `uncertainty`, widened for a position-dependent residual. It is
-scaled to the residual before the fit, frequency by frequency: a slow motion has few of them. A random force in the loop
-is no small noise of each row while friction holds the motor. So a fault is also compared with the sizes that simulated
-forces and noise of the residual's spectrum show.
+The deviation is the autocorrelation-robust one of `uncertainty`, widened for a position-dependent residual, and scaled
+to the residual before the fit, frequency by frequency. A fault is also compared with the sizes that simulated forces
+and noise show: while friction holds the motor, a random force in the loop is no small noise of each row.
 
 All tests of loop and log are one family, other laws a second, and the mechanics a third, at a tenth of the level:
-p-values are multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns
-are collinear, given the joint's parameters, are one.
+p-values are multiplied by the number of its faults and shapes (Bonferroni). Faults whose columns are collinear, given
+the joint's parameters, are one.
 """
 
 import math

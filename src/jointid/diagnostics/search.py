@@ -1,17 +1,14 @@
 """Stepwise search for faults of a solved joint or robot.
 
-Each fault is tested alone, the likeliest is corrected, and the tests are repeated. Those that are nearly as likely are
-named beside the first. If the likeliest is impossible, something else is wrong.
-
-A joint's problem is solved again with the fault corrected, which shows its effect on the parameters. Where the declared
-law reproduces the logged torque from a logged motor position, faults of law and log that it excludes are not named.
+Each fault is tested alone, the likeliest is corrected, and the tests are repeated. A joint's problem is solved again
+with the fault corrected, which shows its effect on the parameters. Where the declared law reproduces the logged torque
+from a logged motor position, faults of law and log that it excludes are not named.
 
 Each other law of the drive is judged by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the residual,
-regressed on the change of the fit, has the coefficient 0 under the declared law and 1 under the other. The fit is one
-step from the same joint; where that explains something, the joint is identified under the law.
+regressed on the change of the fit, has the coefficient 0 under the declared law and 1 under the other.
 
-Of a robot each fault adds a column to the torque of one axis, or of all. A wrong scale of one log shows by the other
-joints, which share the inertias of the links. So the rows of all joints are regressed together.
+Of a robot each fault adds a column to the torque of one axis, or of all, and the rows of all are regressed together: a
+wrong scale of one log shows by the other joints, which share the inertias of the links.
 """
 
 from __future__ import annotations
@@ -50,7 +47,7 @@ _MUCH_LARGER, _MUCH_LATER = 0.25, 0.5  # of a declared number, and periods: the 
 _HALF = 0.5  # of the size by one step that must remain when solved again, or is tried; of the strongest fault
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
-_TOLERANCE = 1e-6  # of the refinement with a fault corrected, or under another law: far below a deviation
+TOLERANCE = 1e-6  # of the refinement with a fault corrected, or under another law: far below a deviation
 _FEWEST = 4  # rows to a column, of each fault one, and of a block in time
 _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not the cause
@@ -85,7 +82,7 @@ def search_faults(
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
     # A rigid joint's DIDIM ends near the least squares, not on them.
     if np.linalg.norm(problem.residual(initial.x)) > exact:
-        initial = replace(initial, x=descend(problem, initial.x, _TOLERANCE).x)
+        initial = replace(initial, x=descend(problem, initial.x, TOLERANCE).x)
     found = initial
     findings, suspected, last = list[Finding](), list[Finding](), None
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
@@ -113,10 +110,11 @@ def search_faults(
         elif is_gross(possible[0], problem.sample_time) and explain(gross := [Finding(possible[0], None, (), {})]):
             findings += gross
             break
-        else:  # what leaves more when it is corrected is none, however strong it looks from afar
+        else:  # what leaves more when it is corrected is none
             less = (one for one in corrected if np.linalg.norm(one[1].residual) < np.linalg.norm(found.residual))
             if (end := next(less, None)) is None:  # what is left of friction and spring may be their own remainder
-                last = None if any(one.test.fault.of_model for one in findings) else likely[0]
+                own = max((one.test.strength for one in findings if one.test.fault.of_model), default=0.0)
+                last = likely[0] if likely[0].strength > own else None
                 break
             finding, found = end
         findings.append(finding)
@@ -162,7 +160,7 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
         (change, beside), ends = _search_law(found, signature) or (test.size * signature.raw, {}), list[SolvedLoop]()
         for share in (1.0, _HALF):  # where the loop is far from linear, half of a fault leaves less
             other = problem.with_log(measured=problem.log.measured - share * change[:, np.newaxis])
-            ends.append(replace(held, problem=other, x=solve(other, least_squares(_TOLERANCE, _FEW), found.x).x))
+            ends.append(replace(held, problem=other, x=solve(other, least_squares(TOLERANCE, _FEW), found.x).x))
             if np.linalg.norm(ends[-1].residual) < np.linalg.norm(found.residual):
                 return ends[-1], {**other.values(ends[-1].x), **beside}
         return held, {**ends[0].problem.values(ends[0].x), **beside}
@@ -174,7 +172,7 @@ def _correct(found: SolvedLoop, test: FaultTest) -> tuple[SolvedLoop, Mapping[st
     wider = problem.freeing(test.name)
     start = max(start, next(p.lower for p in wider.free if p.name == test.name))
     with contextlib.suppress(MethodError):  # where the number goes to where its part of the law vanishes
-        x = solve(wider, least_squares(_TOLERANCE, _FEW), wider.vector(problem.values(found.x) | {test.name: start})).x
+        x = solve(wider, least_squares(TOLERANCE, _FEW), wider.vector(problem.values(found.x) | {test.name: start})).x
         wider.linearise(x)
         reached = (wider.values(x)[test.name] - test.declared) * test.size >= _HALF * test.size**2
         if (reached or fault is suspects.LIMIT) and np.linalg.norm(wider.residual(x)) <= np.linalg.norm(found.residual):
@@ -306,7 +304,7 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray, longest: float) -> Seq
 
     def find(controller: Any, near: FloatArray, **starts: float) -> tuple[list[float], FloatArray, float]:
         wider = problem.under(controller).freeing(*starts)
-        end = descend(wider, wider.vector(problem.values(near) | starts), _TOLERANCE)
+        end = descend(wider, wider.vector(problem.values(near) | starts), TOLERANCE)
         squares, found = float(end.residual @ end.residual), wider.values(end.x)
         return [found[name] for name in starts], problem.vector(found), squares
 
@@ -348,7 +346,7 @@ def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArra
         step = damped_step(left, J, Bounds.of(found.problem.free).shift_to(x))
         left, x = left + J @ step, x + step
     else:
-        x = descend(other, start, _TOLERANCE).x
+        x = descend(other, start, TOLERANCE).x
         left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)
     if law.fault is suspects.REFERENCE_DELAY and record.injected is None:  # nothing else tells when the torque was

@@ -59,8 +59,7 @@ class Fault:
         least: smallest size that is named; smaller ones are within the usual tolerance.
         mechanical: whether it is a fault of the joint's model, not of loop or log.
         kin: group of faults that describe one effect; after one is found, the others are not tested.
-        measure: unit in which a sentence shows its size: none, "%", "ms", "torque" or "position"; "level" shows its
-            level, as a torque.
+        measure: unit in which a sentence shows its size: none, "%", "ms", "torque", "position", or "level" (a torque).
         reason: code of the verdict.
     """
 
@@ -230,12 +229,10 @@ class AxisFaults:
         findings: faults found, the likeliest first.
         tests: of every fault as if it were the only one, the likeliest first.
         units: of "torque" and "position".
-        suspected: faults that are not named, and whose shifts the intervals hold: one of the mechanics that is nearly
-            significant; one of loop or log that the motor position excludes; and another law that the record does not
-            exclude, and that would shift a parameter out of its interval.
+        suspected: faults that are not named, and whose shifts the intervals hold: of the mechanics, nearly significant;
+            of loop or log, excluded by the motor position; a law that would shift a parameter out of its interval.
         part: of the time in which the residual is concentrated, faults corrected; no fault is named beside it.
-        explained: share of the squares of the residual that the faults explain together, if they leave more than
-            noise, so that none of them is likely to be the cause; else None.
+        explained: share of the residual's squares that the faults explain together, if they leave more than noise.
     """
 
     findings: tuple[Finding, ...]
@@ -280,11 +277,14 @@ class AxisFaults:
         far = sorted(finding.changes.values(), key=lambda change: -abs(change.sigmas))[:_LISTED]
         if moved := [str(change) for change in far if abs(change.sigmas) >= _SMALLEST_SHIFT]:
             words += f"; correcting it changes {', '.join(moved)}"
-        remedy = test.fault.remedy.format(shape=number(test.shape, 3)) if finding.law is None else ""
-        words += f"; {remedy}" if remedy else ""
-        changes = {name: change.by for name, change in finding.changes.items()}
+        value = test.declared + test.size if finding.value is None else finding.value
+        shown = f'"{number(1e3 * value, 3)} ms"' if test.fault.measure == "ms" else number(value, 4)
+        remedy = test.fault.remedy.format(shape=number(test.shape, 3), name=test.name, value=shown)
+        words += f"; {remedy}" * (remedy != "" and finding.law is None)  # a law is declared by its clause
+        remedy = remedy if finding.law is None else f"declare {finding.law.remedy}"
+        changes, alike = {name: one.by for name, one in finding.changes.items()}, [one.name for one in test.alike]
         numbers = {"size": test.size, "std": test.std, "p_value": test.p_value, "changes": changes}
-        values = {"suspect": test.name, "alike": [one.name for one in test.alike], "remedy": remedy, **numbers}
+        values = {"suspect": test.name, "alike": alike, "remedy": remedy, **numbers}
         return Message(test.fault.reason, words, values, clause)
 
     def _state(self, finding: Finding) -> str:
@@ -506,7 +506,7 @@ def _other_spring(laws: Sequence[str], seen: Seen) -> Columns:
 
 VELOCITY_FILTER = Fault("velocity_filter", "velocity filter")
 TORQUE_FILTER = Fault("torque_filter", "torque filter")
-_number = partial(Fault, declared=None, remedy="correct its declaration")
+_number = partial(Fault, declared=None, remedy="declare {name} = {value} if that is what the drive has")
 DELAY = _number("delay", "delay of the torque", measure="ms")
 REFERENCE_DELAY = _number("reference_delay", "reference delay", measure="ms")
 LOG_DELAY = _number(  # of a loop its derivative is exact
@@ -515,7 +515,7 @@ LOG_DELAY = _number(  # of a loop its derivative is exact
 )  # fmt: skip
 LOG_GAIN = _number("log_gain", "size of the logged torque", remedy="check its unit and the torque constant")
 OFFSET = Fault("offset", "constant force that is not declared", _push, "leave the offset free", measure="torque")
-LIMIT = Fault("limit", "undeclared limit of the controller's output", _limit, one_sided=True, measure="level")
+LIMIT = Fault("limit", "undeclared limit of the controller's output", _limit, "set it", one_sided=True, measure="level")
 _position = partial(Fault, mechanical=True, reason=Reason.FORCE_FOLLOWS_POSITION)
 _turns = partial(Fault, tried=1, kin="gravity")
 _low_speed = partial(Fault, one_sided=True, kin="low-speed friction", measure="torque")

@@ -1,11 +1,8 @@
 """Direct and cross test of the paper: the same or another record.
 
-The joint or robot is simulated, or its inverse model evaluated, and the torque of each axis compared with the measured
-one, ``||Y - Ys|| / ||Y||``. Only what belongs to the record is estimated anew: the state at its first sample, and the
-zero of a load encoder.
-
-An estimate predicts the record if it adds less than the attainable error to that of each axis, as the root of a
-difference of squares. A nominal robot has the friction that is fitted to the estimate's record.
+The torque of each axis is compared with the measured one, ``||Y - Ys|| / ||Y||``. Only what belongs to the record is
+estimated anew: the state at its first sample, and the zero of a load encoder. An estimate predicts the record if it
+adds less than the attainable error to that of each axis, as the root of a difference of squares.
 """
 
 from __future__ import annotations

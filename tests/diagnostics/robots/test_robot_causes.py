@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.diagnostics.changes import AVERAGED, Cause
 from jointid.diagnostics.diagnosis import Diagnosis, diagnose_robot
 from jointid.diagnostics.robot_causes import find_robot_cause
@@ -12,6 +13,7 @@ from jointid.diagnostics.suspects import LOG_GAIN, FaultTest, Finding
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from tests.estimation.robots.test_one_estimate import logged
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of
 from tests.models.robots.trees import inverse_dynamics
 
@@ -93,6 +95,13 @@ def test_a_position_that_is_its_reference_is_named(monkeypatch: pytest.MonkeyPat
     faults = tuple(replace(axis.faults, findings=(way, gain)) for axis in found.axes)
     monkeypatch.setattr("jointid.diagnostics.diagnosis.search_axes", lambda *_: faults)
     assert all(axis.faults.findings == (way,) for axis in diagnosed(arm(3), records).axes)
+
+
+def test_a_position_that_is_its_reference_is_the_cause_under_controllers_too() -> None:
+    loop, (first, second) = logged()
+    found = ji.identify((first, replace(second, motor_position=second.reference)), loop)
+    assert (found.diagnosis.cause.name, found.diagnosis.cause.joints) == ("reference_is_position", ("joint2",))
+    assert not found.answer.reliable
 
 
 @pytest.mark.parametrize("tilt", [0.15, pytest.param(np.pi, marks=pytest.mark.slow)])
