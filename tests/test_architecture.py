@@ -9,6 +9,10 @@ from pathlib import Path
 import grimp
 import pytest
 
+import jointid as ji
+from jointid.estimation import methods
+from tests.rigid_axis import LOOP, recorded
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -80,3 +84,33 @@ def test_nothing_names_this_machine() -> None:
         path = ROOT / name
         if path.suffix in {".py", ".md", ".toml", ".txt"} and path.is_file():
             assert not forbidden.search(path.read_text(encoding="utf-8")), name
+
+
+STRANGER = """
+from dataclasses import dataclass
+from jointid.estimation.methods import Method
+from jointid.estimation.problems.inverse_model import inverse_of_joint
+from jointid.estimation.problems.regression import solve_rows
+from jointid.estimation.result.estimate import Settings, build_estimate, build_rows
+@dataclass(frozen=True)
+class Plain(Method):
+    name, title = "plain", "least squares without weights"
+    def identify(self, task):
+        inverse = inverse_of_joint(task.joint, 0.0, task.parameters)
+        motion = inverse.measure([task.record], task.filtering)
+        found = solve_rows(inverse.rows([motion]), "ols", {})
+        values, std = (dict(zip(found.rows.names, one.tolist())) for one in (found.values, found.covariance.std))
+        rows = build_rows(task.parameters, values, std, task.joint.unit, values, {})
+        torques, size = (motion.torque, inverse.columns(motion)[:, 0] @ found.values), found.residual.size
+        left, of = found.rows.relative_errors(found.values), found.covariance.correlation
+        settings = Settings(self.name, self.title, task.joint, None, motion.filtering)
+        return build_estimate([task.record], rows, of, torques, left, size, ("solved", True), 0, settings)
+"""
+
+
+def test_a_stranger_adds_a_method_in_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "plain.py").write_text(STRANGER, encoding="utf-8")
+    monkeypatch.setattr(methods, "__path__", [*methods.__path__, str(tmp_path)])
+    record, joint = recorded(noise=0.5), LOOP.joint
+    found, by_idim = (ji.identify(record, joint, methods.method_of(name)()) for name in ("plain", "idim"))
+    assert found.values == pytest.approx(by_idim.values, rel=1e-6) and found.to_dict()["settings"]["method"] == "plain"

@@ -80,9 +80,7 @@ EXECUTING: dict[str, bytes | Write] = {
     "formula.csv": f"t,={CODE}\n0,1\n1,2\n".encode(),
     "value.jsonl": f'{{"t": [0, 1], "q": ["{CODE!r}", "{CODE!r}"]}}'.replace('("', "('").replace('")', "')").encode(),
     "qos.db3": _database("UPDATE topics SET offered_qos_profiles = '!!python/object/apply:os.mkdir [executed]'"),
-    "definition.db3": _database(
-        f"UPDATE message_definitions SET encoded_message_definition = 'float64 x={CODE}'"
-    ),
+    "definition.db3": _database(f"UPDATE message_definitions SET encoded_message_definition = 'float64 x={CODE}'"),
     "type.db3": _database(f"UPDATE topics SET type = 'a/msg/A''); {CODE}; ('"),
 }  # fmt: skip
 

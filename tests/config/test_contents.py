@@ -121,9 +121,7 @@ def test_the_method(model: str, text: str, expected: object) -> None:
 
 
 def test_values_are_those_fixed_and_those_started_from() -> None:
-    file = loads(
-        SMALLEST + "[parameters]\ninertia = { start = 90.0 }\nviscous = 200\ncoulomb = 20\noffset = { start = 1 }"
-    )
+    file = loads(SMALLEST + "[parameters]\ninertia = {start = 90.0}\nviscous = 200\ncoulomb = 20\noffset = {start = 1}")
     assert file.axis.values() == {"inertia": 90.0, "viscous": 200.0, "coulomb": 20.0, "offset": 1.0}
     with pytest.raises(ji.MethodError, match=r"every parameter; without one: inertia, viscous, coulomb, offset"):
         loads(SMALLEST).axis.values()

@@ -96,11 +96,7 @@ REFUSED = [
     ("viscous = 3.0", "parameters = { harmonic_1_cos = 1.0 }", "joints.1.parameters.harmonic_1_cos unknown"),
     ("viscous = 3.0", 'kind = "prismatic"', "joints.1.kind contradiction"),
     ("viscous = 3.0", 'friction = "dahl"', "joints.1.friction value"),
-    (
-        "viscous = 3.0",
-        "parameters = { inertia = { start = 3, lower = 4 } }",
-        "joints.1.parameters.inertia contradiction",
-    ),
+    ("viscous = 3.0", "parameters = {inertia = {start = 3, lower = 4}}", "joints.1.parameters.inertia contradiction"),
     ("viscous = 3.0", "spring = { damping = 1.0 }", "joints.1.spring.stiffness missing"),
     ("viscous = 3.0", "limits = { lower = 1.0, upper = -1.0 }", "joints.1.limits contradiction"),
 ]

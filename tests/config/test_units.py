@@ -64,15 +64,11 @@ def test_a_number_is_taken_to_si_by_its_unit(line: str, name: str, value: float)
     assert loads(written) == file
 
 
+MINUTES = "0.8 A min"  # of turns, or of time
+NOT_FIT = ("0.8 N s/m", "0,8 A s/rad", MINUTES, "0.8 V s/rad", "1 " + "(" * 3000, "1e999 A s/rad", "0.8 % s/rad")
 UNFIT = [
-    ([('"0.8 A s/rad"', '"0.8 N s/m"')], "controller.velocity_gain unit"),
-    ([('"0.8 A s/rad"', '"0,8 A s/rad"')], "controller.velocity_gain unit"),
-    ([('"0.8 A s/rad"', '"0.8 A min"')], "controller.velocity_gain unit"),  # a minute of turns, or of time
-    ([('"0.8 A s/rad"', '"0.8 V s/rad"')], "controller.velocity_gain unit"),
-    ([('"0.8 A s/rad"', f'"1 {"(" * 3000}"')], "controller.velocity_gain unit"),
-    ([('"0.8 A s/rad"', '"1e999 A s/rad"')], "controller.velocity_gain unit"),
+    *(([('"0.8 A s/rad"', f'"{one}"')], "controller.velocity_gain unit") for one in NOT_FIT),
     ([('"0.8 A s/rad"', '"0.8 A s/rad"\nlimit = "3 N m"')], "controller unit"),
-    ([('"0.8 A s/rad"', '"0.8 % s/rad"')], "controller.velocity_gain unit"),
     ([('"0.8 A s/rad"', '"0.8 A s/rad"\ngain = 2.0')], "controller.gain contradiction"),
     ([('"0.8 A s/rad"', '"0.8 A s/rad"\nintegral_time = 0.01\nintegral_gain = 100')], "controller.integral_gain value"),
     # nothing takes amperes to the torque

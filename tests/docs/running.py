@@ -75,8 +75,7 @@ def _prepare(page: Path, folder: Path, real_records: Callable[[], Path]) -> None
 
 
 README_AXIS = {
-    "motor_inertia": 15.0, "motor_viscous": 60.0, "motor_coulomb": 40.0,
-    "stiffness": 1e5, "damping": 30.0,
+    "motor_inertia": 15.0, "motor_viscous": 60.0, "motor_coulomb": 40.0, "stiffness": 1e5, "damping": 30.0,
     "load_inertia": 12.0, "load_viscous": 40.0, "load_coulomb": 25.0, "offset": 5.0,
 }  # fmt: skip
 """What the README's record is simulated with, on the load side."""

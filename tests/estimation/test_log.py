@@ -201,12 +201,14 @@ def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPa
 
 def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
     """A log whose windows fail is not identified at once."""
-    record, shown = rigid(20.0), list[bool]()
+    record, shown, said = rigid(20.0), list[bool](), list[str]()
     monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     monkeypatch.setattr("jointid.estimation.pieces.moves", lambda records: shown.append(True))
     with pytest.raises(ji.MethodError, match="In no window"):
         ji.identify(record, LOOP)
-    assert shown and ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
+    whole = ji.identify(record, LOOP, windows=False, checks=False, progress=said.append)
+    assert shown and whole.data.windows is None
+    assert "20,000 samples are identified at once, in about 1 GiB or more" in said
 
 
 def test_a_window_that_fails_near_its_end_turns_the_search_away(monkeypatch: pytest.MonkeyPatch) -> None:

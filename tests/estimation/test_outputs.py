@@ -72,9 +72,8 @@ def test_a_common_factor_of_the_gains_is_invisible_and_moves_every_parameter() -
 def test_a_known_parameter_or_an_injected_torque_tells_the_scale() -> None:
     kept = {"inertia": ji.RigidJoint("revolute").parameters[0].fix(0.5)}
     assert scale_status(identify(logged().without("torque"), parameters=kept)) == [True]
-    pulses = ji.excitation.pulses(6000, SAMPLE_TIME, 5.0, 0.05, 0.5, 0)
-    record = logged(injected=pulses).without("torque")
-    assert scale_status(identify(record)) == [True]
+    record = logged(injected=ji.excitation.pulses(6000, SAMPLE_TIME, 5.0, 0.05, 0.5, 0))
+    assert scale_status(identify(record.without("torque"))) == [True]
 
 
 def test_a_free_gain_needs_a_known_parameter() -> None:
@@ -90,8 +89,8 @@ def test_a_free_gain_needs_a_known_parameter() -> None:
 
 def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
     """Nor is the controller compared with its own torque."""
-    found = ji.identify(logged().without("torque"), LOOP)
-    assert not {"log_gain", "log_delay"} & {test.name for test in found.diagnosis.axes[0].faults.tests}
+    tests = ji.identify(logged().without("torque"), LOOP).diagnosis.axes[0].faults.tests
+    assert not {"log_gain", "log_delay"} & {test.name for test in tests}
     assert compare_law(ji.controller.compute_controller_torque(logged(), LOOP), LOOP) is None
 
 
@@ -159,7 +158,7 @@ def test_a_robot_under_an_integral_settles_and_has_no_offsets() -> None:
     found = ji.identify(records, loop, checks=False)
     assert found.fit.converged
     assert found["joint1.offset"].value is None is found["joint2.offset"].value
-    for name, joint in (("joint1", loop.robot.joints[0]), ("joint2", loop.robot.joints[1])):
+    for name, joint in zip(loop.robot.names, loop.robot.joints, strict=True):
         assert found[f"{name}.viscous"].value == pytest.approx(joint.viscous, rel=0.05)
         assert found[f"{name}.coulomb"].value == pytest.approx(joint.coulomb, rel=0.05)
 

@@ -71,13 +71,10 @@ def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses
     ("name", "declared"),
     [
         ("torque_filters.0.frequency", 400.0),  # of 490 Hz, beside the 500 Hz beyond which there is none
-        ("torque_filters.1.numerator_damping", -0.1),
-        ("velocity_filter.time_constant", 1.6e-3),
-        ("reference_delay", 1.6e-3),
-        ("integral_gain", 16.0),
-        ("gain", 0.8),
+        ("torque_filters.1.numerator_damping", -0.1), ("velocity_filter.time_constant", 1.6e-3),
+        ("reference_delay", 1.6e-3), ("integral_gain", 16.0), ("gain", 0.8),
     ],
-)
+)  # fmt: skip
 def test_any_number_of_a_law_is_found_from_beside(name: str, declared: float) -> None:
     """Also where the search's steps would leave what a law can have."""
     true = Cascade(

@@ -141,10 +141,7 @@ def test_a_log_that_ends_within_a_period_is_simulated_to_its_last_whole_one() ->
 def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
     loop = ClosedLoop(RigidJoint("prismatic"), EMPS)
     experiment = prepare(loop, record())
-    for change, outcome in (
-        ({"inertia": 0.02}, Outcome.DIVERGED),
-        ({"viscous": math.nan}, Outcome.INVALID),
-    ):
+    for change, outcome in (({"inertia": 0.02}, Outcome.DIVERGED), ({"viscous": math.nan}, Outcome.INVALID)):
         unlimited = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15))
         run = simulate(unlimited, prepare(unlimited, record()), RIGID | change)
         assert run.outcome is outcome

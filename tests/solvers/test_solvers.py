@@ -148,9 +148,20 @@ class Slider(Rosenbrock):
         return x[1] * z / np.hypot(1.0, z) - wound, J
 
 
-@pytest.mark.parametrize("torque", [0.01, 0.03, 0.1])
-def test_a_column_that_vanishes_leads_nowhere_and_comes_again(torque: float) -> None:
-    assert solve(Slider(), SOLVER, np.array([3000.0, torque])).x == pytest.approx([300.0, 1.0], rel=1e-6)
+class Fading(Rosenbrock):
+    """Far from its least the second parameter is told 1e9 times as well as there."""
+
+    def linearise(self, x: Array) -> tuple[Array, Array]:
+        J = np.array([[1e9 * (x[1] - 1.0), 1e9 * x[0]], [1e10, 0.0], [0.0, 1.0]])
+        return np.array([1e9 * x[0] * (x[1] - 1.0), 1e10 * x[0], x[1] - 2.0]), J
+
+
+VANISHING = [(Slider(), (3000.0, torque), (300.0, 1.0)) for torque in (0.01, 0.03, 0.1)]
+
+
+@pytest.mark.parametrize(("problem", "start", "least"), [*VANISHING, (Fading(), (1.0, 5.0), (0.0, 2.0))])
+def test_a_column_that_fades_leads_nowhere_and_comes_again(problem: Rosenbrock, start: Array, least: Array) -> None:
+    assert solve(problem, SOLVER, np.array(start)).x == pytest.approx(np.array(least), rel=1e-6, abs=1e-6)
 
 
 class Kinked(Rosenbrock):
@@ -170,6 +181,8 @@ def test_the_least_at_a_kink_is_found() -> None:
     x, y = end.x
     assert x == pytest.approx(1.0 - 0.3 * y**2, abs=1e-6)
     assert 2.2 * y + 0.18 * y**3 == pytest.approx(2.0, abs=1e-3)
+    short = LevenbergMarquardt(1e-6, 60, np.array([10.0, 3e-3]))  # a step along it that the reach has cut is no end
+    assert solve(Kinked(), short, np.array([1.0, 0.0])).status is not Status.KINK
 
 
 def test_evaluations_are_those_counted_and_steps_are_told() -> None:

@@ -75,7 +75,7 @@ def part_of(record: Record) -> Record:
 
 def _refuse_windows(log: Sequence[Any], model: Any, method: Method | None, several: object) -> str:
     """Reason against windows, in a sentence; empty if there is none."""
-    if not log or several or not hasattr(model, "loops") or not _simulates_loop(method):
+    if not log or several or not hasattr(model, "loops") or not (method is None or method.simulates == "loop"):
         return (
             "Windows are of one log of a joint or robot under its loop: give its controllers and DIDIM, or leave "
             "windows out."
@@ -87,16 +87,8 @@ def _refuse_windows(log: Sequence[Any], model: Any, method: Method | None, sever
     if hasattr(model, "robot") and (computed or any("torque" not in names for names in named)):
         return "Windows of a robot reproduce logged torques, not motor positions: log them, or leave windows out."
     if drifting := next((joint.friction.name for joint in joints if "drifting" in joint.friction.name), ""):
-        return (
-            f'Windows take no {drifting} friction, which follows the time: declare "symmetric", or cut by start and '
-            "stop."
-        )
+        return f'Windows take no {drifting} friction, which follows time: declare "symmetric", or cut by start, stop.'
     return ""
-
-
-def _simulates_loop(method: Method | None) -> bool:
-    """Test whether a method simulates a loop, like a loop's default method."""
-    return method is None or method.simulates == "loop"
 
 
 def fit(
@@ -119,6 +111,11 @@ def fit(
     windows = windows or (_LONGEST if streamed else None)
     if windows is not None and (said := _refuse_windows(log, model, method, several)):
         raise MethodError(said)
+    given: Any = record if listed else [record]
+    every = [one for each in given for one in (each if hasattr(each, "__len__") else [each]) if hasattr(one, "items")]
+    samples = sum(max((len(channel) for _, channel in one.items()), default=0) for one in every)
+    if samples > LARGEST and windows is None and (method is None or method.simulates):
+        progress(f"{samples:,} samples are identified at once, in about {samples / LARGEST:.2g} GiB or more")
     if isinstance(model, Robot | RobotLoop | RobotDriveSide):
         if not listed or several:
             raise MethodError("A robot is identified from a list of its joints' records, without `several`: give that.")
@@ -128,7 +125,7 @@ def fit(
     if several is not None or isinstance(model, Sequence):
         raise MethodError("Several loops, and `several`, are of a list of records; received one: give all.")
     read, method = [] if streamed else log, method or default_method(model)
-    if isinstance(model, ClosedLoop) and _simulates_loop(method):
+    if isinstance(model, ClosedLoop) and method.simulates == "loop":
         read = torques_of(read, [model] * len(read), method.outputs)
 
     def fit_alone(records: Sequence[Record]) -> Estimate:
@@ -157,7 +154,7 @@ def _fit_records(
     asked = any(name not in shared or (any(v) if np.iterable(v) else v) for name, v in several.items())
     plain = isinstance(model, Joint | DriveSide | ClosedLoop) and not asked
     alike = plain and (method or default_method(model)).stacks
-    by_loop = isinstance(model, ClosedLoop | Sequence) and _simulates_loop(method)
+    by_loop = isinstance(model, ClosedLoop | Sequence) and (method is None or method.simulates == "loop")
     if not (records and all(isinstance(one, Record) for one in records) and (alike or by_loop)):
         raise MethodError(
             "Records are what `ji.read` returns, several a list, identified by their loop, or without it if they share "
@@ -192,7 +189,7 @@ def _fit_robot(
             f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
             "RobotLoop, or DriveSideFit for a RobotDriveSide."
         )
-    if _simulates_loop(method):
+    if method.simulates == "loop":
         logs = tuple(torques_of(log, model.loops, method.outputs) for log in logs)
 
     def fit_alone(records: Sequence[Record]) -> Estimate:
@@ -233,7 +230,7 @@ def identify_record(
     for one in (record, *others):
         check_record(one)
     chosen.require_settings_of(joint.model)
-    if not _simulates_loop(chosen):
+    if chosen.simulates != "loop":
         joint.require_linear(f"{chosen.title} takes")
     elif loop is None:
         raise MethodError(

@@ -50,7 +50,7 @@ from jointid.estimation.result.estimate import (
     build_rows,
     warn_of_limit,
 )
-from jointid.estimation.robots.simulated import IdentifiedRobot, at_estimate
+from jointid.estimation.robots.simulated import at_estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import RobotLoop
@@ -449,6 +449,7 @@ _PLACES = 6  # stretches of the travel: what a place errs, its neighbourhood err
 _AROUND = 64  # stretches after which places are taken to come again: an axis may turn for ever
 
 NO_MOTION = "In no window of this record does the axis move; give another record."
+ONE_LENGTH = "The log of a joint ends before those of other joints: cut the logs of a robot to one length."
 
 Places: TypeAlias = Callable[[FloatArray, FloatArray], NDArray[np.intp]]
 """From positions and velocities, (rows,) each, to the number of each row's stretch of the travel, (rows,)."""
@@ -644,7 +645,7 @@ def chunks_of(logs: Sequence[LongRecord], length: int, overlap: int) -> Iterator
     """Chunks of joints' logs: the first joint's, and all records."""
     for each in zip_longest(*(log.chunks(length, overlap) for log in logs)):
         if None in each:
-            raise MethodError("The logs of a robot's joints end at different times: give all one length.")
+            raise MethodError(ONE_LENGTH)
         yield each[0], [chunk.record for chunk in each]
 
 
@@ -669,7 +670,9 @@ def identify_windows(
     Raises:
         RecordError, MethodError: no window by itself identifies the joint, or one cannot be simulated.
     """
-    sample_time = logs[0].sample_time
+    sample_time, spans = logs[0].sample_time, [log.record.duration for log in logs if hasattr(log, "record")]
+    if spans and max(spans) - min(spans) > 1.5 * sample_time:  # of files it shows at the end of the first pass
+        raise MethodError(ONE_LENGTH)
     # Whole rows, so that all windows keep the same samples, and whole periods of controllers that are slower than the
     # log: the first of a law is at a window's first sample.
     laws = [one.controller.law(sample_time) for one in loop.loops]
@@ -684,7 +687,10 @@ def identify_windows(
         like = begin_window(of_window, loop, first)
         x = like.vector(of_window.values(x))
     else:
-        like, x = _of_robot(began, began.robot)
+        of_robot: Any = began.solved
+        like = replace(of_robot.problem, parameters=of_robot.parameters.without_logarithms())
+        x = like.parameters.to_search_variables(began.robot.values)
+        like = like.reweight(like.error(of_robot.runs), x.size)
     keep, needed = like.step, settling(like, begin_window(like, loop, first, wrong=1.0), x)
     length, needed = samples(window, math.lcm(keep, period)), keep * -(-needed // keep)
     settled = min(needed, length // (2 * keep) * keep)
@@ -733,14 +739,6 @@ def identify_windows(
     )
     data = replace(made.data, resampled=None, windows=span)
     return replace(made, fit=replace(made.fit, passes=len(problem.passes)), data=data, records=())
-
-
-def _of_robot(began: Estimate, part: IdentifiedRobot) -> tuple[Simulated, FloatArray]:
-    """Problem of a window of a robot, weighted by its errors, and its solution, (free,)."""
-    assert began.solved is not None
-    problem = replace(began.solved.problem, parameters=began.solved.parameters.without_logarithms())
-    x = problem.parameters.to_search_variables(part.values)
-    return problem.reweight(problem.error(began.solved.runs), x.size), x
 
 
 def _rows_at(

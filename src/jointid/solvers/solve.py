@@ -160,9 +160,9 @@ def solve(
             break
         norm, reach = trace[-1], share * solver.reach
         room = bounds.shift_to(x, reach)
-        # What a law no longer tells where it vanishes, as a slider's stiffness without torque, is not moved.
+        # What a law no longer tells where it vanishes is not moved; its deviation is more than its value.
         largest = np.maximum(largest, sizes := np.linalg.norm(J, axis=0))
-        told = np.where(sizes > _RESOLVED * largest, J, 0.0)
+        told = np.where((sizes > _RESOLVED * largest) | (sizes * np.abs(x) > norm / math.sqrt(error.size)), J, 0.0)
         step = damped_step(error, told, room, damping, widths)
         cut = (taken := float(np.max(np.abs(step) / reach))) >= _CUT
         if solver.worth > 0.0 and damping <= _DAMPING and not cut and _gain(norm, error + J @ step) <= solver.worth:

@@ -20,15 +20,10 @@ EXAMPLES = sorted(
     path for path in (ROOT / "examples").glob("*/*.toml") if not path.stem.startswith(("campaign", "robot"))
 )
 FILLED = {
-    "joint.kind": "prismatic",
-    "record.channels.torque.column": "i",
-    "record.channels.torque.unit": "N",
-    "record.channels.reference.column": "x",
-    "record.channels.reference.unit": "m",
-    "controller.law": "cascade",
-    "controller.position_gain": "60",
-    "controller.velocity_gain": "500",
-}
+    "joint.kind": "prismatic", "record.channels.torque.column": "i", "record.channels.torque.unit": "N",
+    "record.channels.reference.column": "x", "record.channels.reference.unit": "m",
+    "controller.law": "cascade", "controller.position_gain": "60", "controller.velocity_gain": "500",
+}  # fmt: skip
 
 
 def filled(changes: dict[str, str] | None = None) -> form.Tables:

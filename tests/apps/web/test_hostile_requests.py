@@ -28,16 +28,8 @@ PATHS = (
     "/%E2%80%AE", "/draft/..%2f", "/channels/%0d%0aX: 1",
 )  # fmt: skip
 METHODS = (
-    "PUT",
-    "DELETE",
-    "OPTIONS",
-    "TRACE",
-    "CONNECT",
-    "get",
-    "A" * 300,
-    "G\x00T",
-    "\u00e9".encode().decode("latin-1"),
-)
+    "PUT", "DELETE", "OPTIONS", "TRACE", "CONNECT", "get", "A" * 300, "G\x00T", "\u00e9".encode().decode("latin-1"),
+)  # fmt: skip
 HEADERS = (
     "content-length: -1", "content-length: 99999999999999999999", "content-length: 1e9",
     "content-length: 1\r\ncontent-length: 2", "transfer-encoding: gzip, chunked",

@@ -1,5 +1,6 @@
 """A robot identified from several logs in one fit: the problems of the logs add up."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -67,8 +68,11 @@ def test_a_long_log_in_windows_says_what_the_whole_says(hertz: Any, monkeypatch:
         assert 0.5 < parts[name].stderr / row.stderr < 2.5, name
     assert parts.robot.setup == loop and parts.answer.reliable
     assert ji.validate(parts, log).answer.code is Prediction.OWN_RECORD
-    unread = Log("unread.csv", {"reference": "q"})
+    unread, said = Log("unread.csv", {"reference": "q"}), list[str]()
     shorter = [log[0], cut(log[1], 0, 8000 + round(parts.data.windows.settling / 1e-3) * 2 + 4000)]
     for wrong in (shorter, [record.without("torque") for record in log], [unread] * 2, [[unread] * 2], unread):
         with pytest.raises(ji.MethodError):
-            ji.identify(wrong, loop, windows=4.0)
+            ji.identify(wrong, loop, windows=4.0, progress=said.append)
+    assert not said  # before any window is identified
+    with pytest.raises(ji.RecordError, match="opened"):  # the columns of a drive's profile are read with the file
+        ji.identify([replace(unread, settings={"drive": "any"})] * 2, loop, windows=4.0)
