@@ -134,7 +134,7 @@ def judge(seed: int, kind: str, longest: float = 4.0) -> Said | None:
     try:
         found = ji.identify(made.record, axis.loop)
     except JointidError as error:  # with its cause, as the command line has it
-        said = explain_failure(error, made.record, axis.loop)
+        said = explain_failure(error, made.record, axis.loop, print)
         return Said(kind, str(said), "", {}, ())
     rows = {row.name: row for row in found.rows if row.name in axis.truth}
     z = {

@@ -403,7 +403,7 @@ def tell(record: ji.Record, loop: ClosedLoop) -> tuple[tuple[str, ...], str]:
         causes = find_causes(record, loop)
         if causes.nearest or not causes.found:
             return (), str(error)
-        return _codes(causes.message), str(explain_failure(error, record, loop))
+        return _codes(causes.message), str(explain_failure(error, record, loop, print))
     found, said = next(one for one in estimate.checks if one.name == estimate.checks[-1].name), str(estimate.answer)
     if found.passed is not False or found.brief not in said:
         return (), said

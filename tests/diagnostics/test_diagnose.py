@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, RecordError
 from jointid.config import load
 from jointid.diagnostics.diagnose import diagnose
-from jointid.diagnostics.explain import find_failure_causes
+from jointid.diagnostics.explain import explain_failure
 from jointid.diagnostics.model_free import Agreement, compare_law
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
@@ -142,7 +142,7 @@ def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
     dead = replace(record.torque, values=0.0 * record.torque.values)
     assert diagnose(record.with_channels({"torque": dead}), loop).symptoms[0].code == "motion_poor"
     still = record.with_channels({"reference": replace(record.reference, values=0.0 * record.reference.values)})
-    assert find_failure_causes(still, loop) is None
+    assert explain_failure(RecordError("still"), still, loop, print).code == "unreadable"
     assert [one.code for one in diagnose(still, loop).symptoms] == ["motion_poor"]
     short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
     assert not diagnose(Record(**short, name="short"), loop).healthy  # type: ignore[arg-type]

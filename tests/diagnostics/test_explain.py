@@ -42,7 +42,7 @@ def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: s
     record, loop = BY_NAME[name].make(axis("rigid"), 1)
     with pytest.raises(JointidError) as raised:
         identify(record, loop)
-    told = explain_failure(raised.value, record, loop)
+    told = explain_failure(raised.value, record, loop, print)
     assert type(told) is type(raised.value)
     assert not str(told).startswith(str(raised.value))
     assert (str(raised.value) in str(told)) is isinstance(raised.value, FaultsError)
@@ -114,7 +114,7 @@ def test_a_search_that_fails_hides_no_error_and_ends_no_identification(failure: 
     record, loop = without_mistake(axis("rigid"))
     monkeypatch.setattr(searching, "find_causes", Mock(side_effect=failure))
     raised = RecordError("it is wrong.")
-    assert explain_failure(raised, record, loop) is raised
+    assert explain_failure(raised, record, loop, print) is raised
     monkeypatch.setattr(identifying, "explain_misfit", Mock(side_effect=failure))
     assert ji.identify(record, loop).checks[-1].name is Subject.LOOP
 

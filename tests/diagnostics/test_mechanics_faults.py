@@ -228,3 +228,13 @@ def test_what_is_not_excluded_widens_the_intervals() -> None:
     wide = {"stiffness": -20.0, "damping": 0.1}
     assert widened(suspected=(found,)) == widened(replace(number, law=law)) == widened(number, repeats=True) == wide
     assert widened(number) == {"damping": 0.1} and widened() == {}  # the stiffness is not relied on
+
+
+@pytest.mark.parametrize(("seed", "gain"), [(250146, 1.0328), (250234, 0.9300)])
+def test_a_wrong_scale_of_the_log_is_not_relied_on(seed: int, gain: float) -> None:
+    """Two parameters at their bounds took it for noise, and a rival that no loop tells from it moved no value."""
+    axis = drive(seed, 8.0, "log")
+    assert axis.record.torque is not None
+    torque = replace(axis.record.torque, values=gain * axis.record.torque.values)
+    found = ji.identify(axis.record.with_channels({"torque": torque}), axis.loop)
+    assert found.answer.trust.code == "not_reliable_yet"

@@ -126,9 +126,7 @@ def test_whole_rows_that_are_repeated_are_left_out(saved: Saved) -> None:
         (np.delete(TIME, [*range(300, 340), *range(800, 900)]), (300, 760)),
     ],
 )  # fmt: skip
-def test_the_remedies_that_a_broken_clock_names_work(
-    saved: Saved, stamps: np.ndarray, longest: tuple[int, int]
-) -> None:
+def test_remedies_of_a_broken_clock_work(saved: Saved, stamps: np.ndarray, longest: tuple[int, int]) -> None:
     path = saved(".csv", t=stamps, q=np.sin(stamps), i=np.cos(stamps))
     columns = {"motor_position": "q", "torque": "i"}
     with pytest.raises(ji.RecordError):

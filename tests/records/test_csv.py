@@ -75,10 +75,7 @@ AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
         "Time;s_set;i_act;enc\nms;LU;Arms;Inkr\n0;1;2;3\n",
         {"Time [ms]": [0], "s_set [LU]": [1], "i_act [Arms]": [2], "enc [Inkr]": [3]},
     ),
-    "units without brackets": (
-        "Zeit;Strom;Temp\ns;A;°C\n0;1;2\n",
-        {"Zeit [s]": [0], "Strom [A]": [1], "Temp [°C]": [2]},
-    ),
+    "units without brackets": ("Zeit;Strom;T\ns;A;°C\n0;1;2\n", {"Zeit [s]": [0], "Strom [A]": [1], "T [°C]": [2]}),
     "names nobody uses": (
         "t,q,Not selected,Not selected\n0,1,0,0\n",
         {"t": [0], "q": [1], "column 3: Not selected": [0], "column 4: Not selected": [0]},
@@ -86,10 +83,7 @@ AWKWARD: dict[str, tuple[str | bytes, dict[str, list[float]]]] = {
     "a column of words": ("t,q,state\n0,1,idle\n1,2,run\n", {"t": [0, 1], "q": [1, 2]}),
     "a first column of truth": ("on;t;q\nTrue;0;1,5\nFalse;1;2,5\n", {"t": [0, 1], "q": [1.5, 2.5]}),
     "words with the delimiter in them": ('t,state,q\n0,"a, b",1\n1,"c, d",2\n', {"t": [0, 1], "q": [1, 2]}),
-    "events between empty cells": (
-        "t,q,event\n0,1,\n1,2,\n2,3,start\n3,4,\n4,5,\n5,6,\n",
-        {"t": [0, 1, 2, 3, 4, 5], "q": [1, 2, 3, 4, 5, 6]},
-    ),
+    "events between empty cells": ("t,q,x\n0,1,\n1,2,\n2,3,start\n3,4,\n", {"t": [0, 1, 2, 3], "q": [1, 2, 3, 4]}),
     "words between blanks": ("t state q\n0 idle 1\n1 run 2\n", {"t": [0, 1], "q": [1, 2]}),
     "lists, quoted": ('t;q;n\n0.5;"[1.0, -2e-3]";7\n', {"t": [0.5], "q[0]": [1], "q[1]": [-2e-3], "n": [7]}),
     "lists, of blanks": ("t;q;n\n0.5;[1.0 -2e-3];7\n", {"t": [0.5], "q[0]": [1], "q[1]": [-2e-3], "n": [7]}),
@@ -264,9 +258,7 @@ def test_every_dialect_is_found(
         (("[1, 2]", "[3, 4]", "[4, 5]"), ["t", "c[0]", "c[1]", "x"]),
     ],
 )
-def test_a_column_that_cannot_be_read_is_passed_over(
-    cells: tuple[str, ...], columns: list[str], tmp_path: Path
-) -> None:
+def test_an_unreadable_column_is_passed_over(cells: tuple[str, ...], columns: list[str], tmp_path: Path) -> None:
     rows = "".join(f'{k},"{cell}",{2 * k}\n' for k, cell in enumerate(cells))
     (tmp_path / "run.csv").write_text(f"t,c,x\n{rows}", encoding="utf-8")
     assert list(read_table(tmp_path / "run.csv").columns) == columns

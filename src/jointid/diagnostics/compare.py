@@ -130,9 +130,8 @@ def compare(before: Mapping[str, Any], after: Mapping[str, Any]) -> EstimateComp
         sums = [_sums(one) for one in both]
         parts = [[_quantities(one) for one in both], *([sums] if all(sums) else [])]  # several records look for none
         rows = [_compare(name, a.get(name), b.get(name), same) for a, b in parts for name in dict.fromkeys((*a, *b))]
-        return EstimateComparison(
-            (str(before["data"]["record"]), str(after["data"]["record"])), same, _adjust_p_values(rows)
-        )
+        first, second = (str(one["data"]["record"]) for one in both)
+        return EstimateComparison((first, second), same, _adjust_p_values(rows))
     except (LookupError, TypeError, ValueError, AttributeError):
         raise RecordError(
             "One of these is no estimate, or a damaged one; give what `to_dict` or `read_report` returned of each."
@@ -163,8 +162,7 @@ def _quantities(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
 
 def _sums(answer: Mapping[str, Any]) -> dict[str, EstimatedParameter]:
     """Return the sums of both sides of a flexible joint, by name."""
-    known = (answer["known"] or {"physical": ()})["physical"]
-    stated = [{"free": True} | one | one["combination"] for one in known]
+    stated = [{"free": True} | one | one["combination"] for one in (answer["known"] or {"physical": ()})["physical"]]
     rows = [read(EstimatedParameter, one | {"symbol": one["formula"], "stderr": one["std"]}) for one in stated]
     return {row.name: row for row in rows}
 

@@ -168,28 +168,16 @@ def explain_misfit(
     return causes if causes.found or error > POOR_FIT else None
 
 
-def find_failure_causes(
-    record: Record, loop: ClosedLoop | None, free: Sequence[str] = (), progress: Progress = ignore_progress
-) -> Causes | None:
-    """Causes of a failed identification; None without a loop or a search."""
-    if loop is None or any(getattr(record, name) is None for name in loop.channels) or any(still_faults(record)):
-        return None
-    with contextlib.suppress(*FAILS):  # the error of the identification counts
-        return find_causes(part_of(record), loop, progress=progress, free=free)
-    return None
-
-
 def explain_failure(
-    error: JointidError,
-    record: Record,
-    loop: ClosedLoop | None,
-    progress: Progress = ignore_progress,
-    free: Sequence[str] = (),
+    error: JointidError, record: Record, loop: ClosedLoop | None, progress: Progress, free: Sequence[str] = ()
 ) -> JointidError:
     """Error of a failed identification, with or replaced by its cause, whose code it has."""
     if record.remarks and not isinstance(error, FaultsError):
         error = type(error)("; ".join((str(error).removesuffix("."), *record.remarks)) + ".")
-    causes = find_failure_causes(record, loop, free, progress)
+    causes = None
+    if loop is not None and all(getattr(record, one) for one in loop.channels) and not any(still_faults(record)):
+        with contextlib.suppress(*FAILS):  # the error of the identification counts
+            causes = find_causes(part_of(record), loop, progress=progress, free=free)
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
         error.code = "unreadable" if isinstance(error, RecordError) else "not_identified"
         return error

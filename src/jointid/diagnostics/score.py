@@ -16,7 +16,7 @@ the joint's parameters, are one.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -25,6 +25,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, orthonormal_basis
 from jointid.common.errors import JointidError
+from jointid.common.parameters import find_active_bounds
 from jointid.diagnostics.model_free import excludes
 from jointid.diagnostics.seen import see_loop
 from jointid.diagnostics.suspects import (
@@ -50,9 +51,9 @@ from jointid.uncertainty.model_tests import Filter, fit_whitener, whiteness
 from jointid.uncertainty.position_dependent_error import Cells, uncertainty
 
 LEVEL = 0.01  # of the tests of loop and log, and of those of other laws: together they err in 2 % of records
-_RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
+RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
 RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
-_FORCES = 32  # independent ones: the deviation of what they show is known to an eighth
+_FORCES, _PUSHED = 32, 2.6  # independent ones: what they show is known to an eighth; deviations, of LEVEL
 _LAWS = 7  # other laws of a controller, that are tested beside the faults
 _AT_MOST = 0.5  # of a declared number: what a larger change of it shows is seen at this one
 
@@ -132,7 +133,7 @@ def score(
         after = _give_back(rest, taken + _span(alone)[1])
         influence = Influence(alone, after)
         same = tuple(other.signature.fault for other in group[1:] if other.signature.axis == signature.axis)
-        family = of_mechanics.count(fault.mechanical) * (_RARER if fault.mechanical else 1)
+        family = of_mechanics.count(fault.mechanical) * (RARER if fault.mechanical else 1)
         tests = shapes[signature.axis, fault] * family
 
         def judge(std: float) -> FaultTest:
@@ -271,6 +272,15 @@ class SolvedLoop:
         """Columns of free parameters and corrected faults, (rows, columns)."""
         return np.column_stack([self._shown[1], *(one.column for one in self.corrected)])
 
+    @property
+    def _without_pushed(self) -> Iterator[FloatArray]:
+        """Yield `own` without what a bound holds against the record, if anything: a fault may push there."""
+        free, own, error = self.problem.free, self._shown[1], self.residual
+        held, influence = find_active_bounds(free, self.x, error, own), Influence(own, error)
+        push = np.abs(influence.matrix @ error) > _PUSHED * influence.robust().std
+        if out := [k for k, p in enumerate(free) if p.name in held and push[k]]:
+            yield np.delete(self.own, out, axis=1)
+
     @cached_property
     def _where(self) -> Cells:
         return self.problem.cells(self.problem.simulate(self.x))
@@ -298,7 +308,11 @@ class SolvedLoop:
             for fault in faults
             if not {fault.name, fault.kin} & known
         }
-        return score(self.residual, self.own, self.signatures, declared, self._where, lambda: self._forced)
+        for own in (self.own, *self._without_pushed):
+            found = score(self.residual, own, self.signatures, declared, self._where, lambda: self._forced)
+            if any(one.p_value <= LEVEL for one in found):
+                break
+        return found
 
     @cached_property
     def _all_tests(self) -> tuple[FaultTest, ...]:
@@ -343,9 +357,10 @@ class SolvedLoop:
         return tuple(one for fault in test.alike for one in self._test([fault]) if not self._excludes(one))
 
     def list_rivals(self, test: FaultTest) -> tuple[FaultTest, ...]:
-        """Significant tests of other faults that are nearly as likely."""
+        """Significant tests of other faults that are nearly as likely, and of those that are alike."""
         least = test.strength**2 - RIVAL
-        return tuple(x for x in self.tests if x is not test and x.p_value <= LEVEL and x.strength**2 > least)
+        found = [x for x in self.tests if x is not test and x.p_value <= LEVEL and x.strength**2 > least]
+        return (*found, *(alike for one in found for alike in self.list_alike(one)))
 
     def shifts_to(self, *each: Mapping[str, float]) -> dict[str, ParameterShift]:
         """Return the shifts of the joint's parameters to other values, the largest of several."""

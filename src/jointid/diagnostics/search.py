@@ -29,7 +29,7 @@ from jointid.common.text import number
 from jointid.diagnostics import changes, suspects
 from jointid.diagnostics.axis_torques import AxisTorques, is_noise
 from jointid.diagnostics.model_free import excludes, offer
-from jointid.diagnostics.score import LEVEL, RIVAL, SolvedLoop, score
+from jointid.diagnostics.score import LEVEL, RARER, RIVAL, SolvedLoop, score
 from jointid.diagnostics.suspects import AxisFaults, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.estimation.descent import descend, least_squares
 from jointid.estimation.problems.simulated import ClosedLoopProblem
@@ -42,7 +42,7 @@ from jointid.uncertainty.covariance import INTERVAL, ROUNDING
 from jointid.uncertainty.position_dependent_error import RESTING, cells
 
 MOST = 3  # faults of one axis
-_NEAR = 0.5  # p-value of a fault of the mechanics that one in twenty healthy joints has
+_NEAR = 0.05  # p-value of a fault that one in twenty healthy joints has
 _MUCH_LARGER, _MUCH_LATER = 0.25, 0.5  # of a declared number, and periods: the cause of such a fault is searched for
 _HALF = 0.5  # of the size by one step that must remain when solved again, or is tried; of the strongest fault
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
@@ -92,7 +92,7 @@ def search_faults(
         possible = [one for one in likely if one.possible]
         if stated is None and not likely:
             # The p-values of the mechanics are those of a tenth of the level: what is near it is not named.
-            near = (one for one in found.tests if one.fault.mechanical and LEVEL < one.p_value <= _NEAR)
+            near = (one for one in found.tests if LEVEL < one.p_value <= _NEAR * (RARER if one.fault.mechanical else 1))
             likely = [*itertools.islice(near, 1), *(() if findings else found.excluded[:1])]
             suspected = [*(_find(found, one)[0] for one in likely), *find_undecided(found, laws)]
             break

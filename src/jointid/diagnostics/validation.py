@@ -228,11 +228,10 @@ def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validatio
     axes = [("", torques[0].unit, POSITION_UNIT[settings.joint.kind])] if robot is None else [
         (name, robot.torque_unit(k), robot.position_unit(k)) for k, name in enumerate(robot.names)
     ]  # fmt: skip
-    size, unknown = np.linalg.norm(found.whole, axis=1), [None for _ in axes]
+    size, unknown = np.linalg.norm(found.whole, axis=1), [None if own else math.inf for _ in axes]
     anew = None if own else found.fit_anew()
-    failed = unknown if own else [math.inf for _ in axes]
-    attainable = failed if anew is None else (np.linalg.norm(anew, axis=1) / size).tolist()
-    nominal = unknown if own or found.nominal_errors is None else found.nominal_errors().tolist()
+    attainable = unknown if anew is None else (np.linalg.norm(anew, axis=1) / size).tolist()
+    nominal = [None for _ in axes] if own or found.nominal_errors is None else found.nominal_errors().tolist()
     errors = (np.linalg.norm(found.error, axis=1) / size).tolist()
     compared = np.zeros(found.measured.shape)
     compared[found.borders[0] : len(compared) - found.borders[1]] = 1.0
