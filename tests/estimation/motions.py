@@ -6,8 +6,6 @@ from jointid.common.arrays import FloatArray
 from jointid.simulation.excitation import trapezoids
 
 STEP = 0.01  # s
-NAMES = ("inertia", "viscous", "coulomb", "offset")
-TRUTH = np.array([95.0, 207.0, 20.0, -3.0])
 
 
 def motion(duration: float = 40.0) -> tuple[FloatArray, FloatArray, FloatArray]:

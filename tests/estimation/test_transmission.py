@@ -23,7 +23,6 @@ from tests.estimates import identify
 from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
 from tests.geared import LAW as UNFILTERED
 
-GEAR = Transmission(load="revolute", ratio=100.0)
 TURNED = Transmission(load="revolute", ratio=100.0, sign=-1)
 LAW = replace(UNFILTERED, velocity_filter=(0.5, 0.5))
 

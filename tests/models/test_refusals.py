@@ -69,6 +69,7 @@ REFUSED: dict[str, Callable[[], object]] = {
     "an unknown friction": lambda: Friction("dahl"),
     "a rise over the speed that winds up": lambda: Friction("asymmetric-stribeck-presliding"),
     "an unknown spring": lambda: Spring("quintic"),
+    "a spring without a name": lambda: Spring(None),  # type: ignore[arg-type]
     "a joint that neither slides nor turns": lambda: RigidJoint("rotary"),  # type: ignore[arg-type]
     "a parameter that a model has not": lambda: adjust_parameters(
         RigidJoint("prismatic").parameters, {"stiffness": Parameter("stiffness", "K12", Quantity.STIFFNESS)}

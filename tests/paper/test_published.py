@@ -19,8 +19,6 @@ from jointid.paper.tables import (
     sum_sides,
 )
 
-NAMES = [p.name for p in FlexibleJoint("prismatic").parameters][:-1]
-
 
 def find_misprints(table: PublishedTable) -> set[tuple[str, str]]:
     """Cells that do not follow from other printed numbers by any denominator, neither rounded, cut nor made whole."""

@@ -208,6 +208,7 @@ def compare_laws(
         MethodError: the simplest law is not identified.
     """
     joint: Any = loop.joint
+    declared = getattr(joint, kind)  # which may be terms that no table has
     settings, given = didim or DIDIM(), dict(parameters or {})
     settings.require_settings_of(joint.model)
     check_record(record)
@@ -231,16 +232,15 @@ def compare_laws(
     if joint.model == "flexible":
         settings = replace(settings, frequency=FlexibleJoint.frequencies(first.values)["free_free"])
     line, judged = judge(first, simple), list[JudgedLaw]()
-    made = SPRINGS.values() if kind == "spring" else FRICTIONS.values()
-    laws: list[Spring | Friction | None] = [None] if kind == "spring" else []
-    laws += sorted(made, key=lambda one: len(_parameters(joint, one)))
+    tried: dict[str, Any] = {RIGID: None, **SPRINGS} if kind == "spring" else {**FRICTIONS}
+    laws = sorted((tried | {declared.name: declared}).values(), key=lambda one: len(_parameters(joint, one)))
     for law in follow(laws, progress, f"comparing {kind}s", len(laws), "laws"):
         with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # what is not identified is left out
             if law is None:
                 judged.append(judge(Solved(*fit_rigid(first.problem, first.values)), law))
             else:
                 judged.append(line if law == simple else judge(identify(law, first.problem.filtering), law))
-    return LawComparison(kind, rank(judged), getattr(joint, kind).name)
+    return LawComparison(kind, rank(judged), declared.name)
 
 
 def _parameters(joint: Joint, law: Spring | Friction | None) -> tuple[Parameter, ...]:

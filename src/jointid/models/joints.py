@@ -96,7 +96,7 @@ class _JointBase:
     @property
     def stepped(self) -> bool:
         """True if a smooth law requires stepwise simulation with error control."""
-        return any(law.stepped for law in self.laws) or self.ripple is not None
+        return self.friction.stepped or any(spring.adds for spring in self.springs) or self.ripple is not None
 
     @property
     def straight(self) -> bool:
@@ -111,11 +111,11 @@ class _JointBase:
             instead: what to do where the law is to stay.
             spring_alone: whether friction may be any.
         """
-        for law in self.laws[int(spring_alone) :]:
+        for law, line in [*zip(self.laws, self.linear.laws, strict=True)][int(spring_alone) :]:
             if not law.linear:
                 raise MethodError(
                     f'{taker} straight lines for laws of friction and spring; received "{law.name}": use '
-                    f'"{law.lines.name}", or {instead}.'
+                    f'"{line.name}", or {instead}.'
                 )
 
     @property

@@ -21,7 +21,7 @@ from jointid.common.parameters import Parameter, Quantity
 
 _SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for another piece begins
 _GAPS = (0.1, 0.3, 0.6, 0.8)  # of it, for half the gap
-_NEWTON = 50  # steps to the deflection of a smooth spring
+_NEWTON = 50  # steps to the deflection of a smooth spring, in each piece
 _LEAST = 1e-12  # torque at which a slider slips
 _PARTS, _TIMES = (0.2, 0.5), (1.7, 3.0)  # of the load that swings at so many times the first mode, at a start
 _WHOLE = 0.99  # of a load: the part behind the first spring has some inertia
@@ -164,7 +164,7 @@ class Spring:
     name: str = "linear"
 
     def __post_init__(self) -> None:
-        whole = "-".join(word for word in _TERMS if word in self.name) or "linear"
+        whole = "-".join(word for word in _TERMS if word in str(self.name)) or "linear"
         if self.name != whole or sum(not term.adds for term in self._terms) > 1:
             raise MethodError(f'Spring "{self.name}" is not known; use {", ".join(SPRINGS)}, joined by "-" in order.')
 
@@ -176,16 +176,6 @@ class Spring:
     def linear(self) -> bool:
         """True if the spring is one line."""
         return self.name == "linear"
-
-    @property
-    def lines(self) -> Spring:
-        """The linear spring."""
-        return Spring()
-
-    @property
-    def stepped(self) -> bool:
-        """True if a simulation has more than lines."""
-        return bool(self.adds)
 
     @property
     def in_pieces(self) -> Spring:
@@ -200,7 +190,8 @@ class Spring:
     @property
     def instead(self) -> str:
         """Lines of the law in words, for exports of lines only."""
-        return ", ".join(term.instead for term in self._terms if term.adds)
+        one = ", ".join(term.instead for term in self._terms if term.adds)
+        return one if self.in_pieces.linear else "the spring of the lines"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -249,12 +240,17 @@ class Spring:
         for piece in pieces:
             if size > 0.0 and size >= piece.torque:
                 found = piece.deflection + ((size - piece.torque) / piece.stiffness if piece.stiffness > 0.0 else 0.0)
-        found = max(one.deflection for one in pieces if one.deflection < math.inf) if cubic and size else found
-        for _ in range(_NEWTON if cubic and size else 0):
-            at = max((piece for piece in pieces if piece.deflection <= found), key=lambda piece: piece.deflection)
-            slope = at.stiffness + 3.0 * cubic * found**2
-            left = at.torque + at.stiffness * (found - at.deflection) + cubic * found**3 - size
-            found = max(found - left / slope, 0.0) if slope > 0.0 else found
+        ends = [*(piece.deflection for piece in pieces[1:]), math.inf]
+        for (begin, held, stiffness, _), end in zip(pieces, ends, strict=True) if cubic and size else ():
+            # Below a softening spring's maximum, or where a stiffening cube alone holds twice the torque.
+            most = (2.0 * size / cubic) ** (1 / 3) if cubic > 0.0 else abs(stiffness / (3.0 * cubic)) ** 0.5
+            found, high = begin, max(begin, min(end, most))
+            for _ in range(_NEWTON):  # which nears the solution from one side, after the first step
+                slope = stiffness + 3.0 * cubic * found**2
+                left = held + stiffness * (found - begin) + cubic * found**2 * found - size
+                found = min(max(found - left / slope, begin), high) if slope > 0.0 else high
+            if found < high or end == math.inf:
+                break
         return math.copysign(found, torque)
 
     def torque(self, values: Values, deflection: FloatArray, velocity: FloatArray) -> FloatArray:

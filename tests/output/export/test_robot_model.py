@@ -67,10 +67,10 @@ def test_what_is_refused() -> None:
             export(model, language, **settings)
 
 
-@pytest.mark.parametrize("law", [Spring(), Spring("backlash")], ids=lambda law: law.name)
+@pytest.mark.parametrize("law", [Spring(), Spring("backlash"), Spring("backlash-cubic")], ids=lambda law: law.name)
 def test_a_robot_with_a_spring_moves_in_mujoco_as_ours_does(law: Spring) -> None:
     robot = arm(2)
-    gap = {} if law.linear else {"gap": 0.02}
+    gap = {p.name: {"gap": 0.02, "cubic_stiffness": 1e5}[p.name] for p in law.parameters[1:-1]}
     soft = replace(robot.joints[1], spring=JointSpring(5000.0, 3.0, law=law), numbers=gap, viscous=0.0, coulomb=0.0)
     robot = replace(robot, joints=(robot.joints[0], soft))
     model = mujoco.MjModel.from_xml_string(export(robot, "mjcf").text)

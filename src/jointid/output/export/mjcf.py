@@ -119,9 +119,7 @@ def _pieces(joint: RobotJoint) -> Sequence[Piece]:
     spring = joint.spring
     if spring is None:
         return ()
-    if spring.law.linear or spring.law.stepped:
-        return (Piece(0.0, 0.0, spring.stiffness, spring.damping),)
-    found = spring.law.pieces(joint.values)
+    found = spring.law.in_pieces.pieces(joint.values)
     begins = [piece.deflection for piece in found]
     if not all(map(math.isfinite, begins)) or begins != sorted(begins):
         raise MethodError(
