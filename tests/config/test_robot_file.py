@@ -159,9 +159,10 @@ def test_an_export_of_a_turned_base_is_not_turned_again(roll: str, folder: Path)
     assert load(folder / "robot.toml").robot.gravity == pytest.approx(robot.gravity, abs=1e-6)
 
 
-def test_friction_backwards(folder: Path) -> None:
+def test_friction_backwards_and_a_start_in_motion(folder: Path) -> None:
     text = TEXT.replace("viscous = 3.0", "viscous = 3.0\nviscous_backwards = 2.0")
-    assert loads(text, folder).robot.joints[0].viscous_backwards == 2.0
+    file = loads(text.replace('feed_forward = "gravity"', "in_motion = true"), folder)
+    assert file.in_motion and file.robot.joints[0].viscous_backwards == 2.0
 
 
 def test_a_joint_takes_the_keys_of_a_joint_file(folder: Path) -> None:

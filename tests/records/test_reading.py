@@ -55,6 +55,7 @@ def test_gain_sign_and_unit_take_a_column_to_si(saved: Saved) -> None:
         ("q [mm]", {}, "m", 1e-3),
         ("q (um)", {}, "m", 1e-6),
         ("q (filtered)", {}, "m", 1.0),
+        ("q (A)", {}, "m", 1.0),
         ("q [mm]", {"unit": "m"}, "m", 1.0),
         ("q [clicks]", {"gain": 1e-5}, "m", 1e-5),
         ("q[0]", {}, "m", 1.0),

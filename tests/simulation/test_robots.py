@@ -155,10 +155,10 @@ def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
     """It moves on as its references do: another start is another motion for as long as the loop remembers."""
     whole = twin.records(6.0)
     late = tuple(cut(one, 2500, 2900) for one in whole)
-    run = held_against_the_reference(twin.loop(), late, 1e-4)
+    run = held_against_the_reference(replace(twin.loop(), in_motion=True), late, 1e-4)
     assert np.min(np.abs(motion_at(run, np.zeros(1, np.int64)).velocity)) > 0.05
     uncut = simulate(twin.loop(), whole).torque[2500:2900]
-    from_rest = simulate(twin.loop(), replace(prepare(twin.loop(), late), speeds=np.zeros(2))).torque
+    from_rest = simulate(twin.loop(), late).torque
     wrong = [float(np.max(np.abs(torque - uncut))) for torque in (run.torque, from_rest)]
     assert wrong[0] < 0.1 * wrong[1]
 

@@ -45,6 +45,7 @@ class File:
         filtering: how signals are filtered.
         parameters: changed parameters by name, for `identify`.
         feed_forward: torque that the drives receive in addition to the controllers' output.
+        in_motion: whether the records of a robot begin while it moves.
         model_path: the file of the robot's model.
         locked: positions of the model's locked joints by name, rad or m.
         path: of the file; `joint.toml` for a text.
@@ -72,6 +73,7 @@ class File:
     filtering: Filtering = field(default_factory=Filtering)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     feed_forward: FeedForward = "none"
+    in_motion: bool = False
     model_path: Path | None = field(default=None, compare=False)
     locked: Mapping[str, float] = field(default_factory=dict)
     path: Path = field(default=Path("joint.toml"), compare=False)
@@ -135,7 +137,7 @@ class File:
                 f"A robot is simulated under its controllers; without one: {', '.join(missing)}. Add a controller to "
                 "the [[joints]] table, or identify by idim from motor positions."
             )
-        return RobotLoop(self.robot, tuple(one for one in self.controllers if one is not None))
+        return RobotLoop(self.robot, tuple(one for one in self.controllers if one is not None), self.in_motion)
 
     @property
     def setup(self) -> Any:

@@ -53,7 +53,7 @@ def build_robot(file: Values, axes: Sequence[Values], folder: Path) -> Values:
         robot = replace(bare, joints=tuple(joints))
     except MethodError as error:
         raise JointFileError(f"joints: {error}") from error
-    own = {one: stated[one] for one in ("feed_forward", "locked", "name")}
+    own = {one: stated[one] for one in ("feed_forward", "in_motion", "locked", "name")}
     parameters, path = _keep_parameters(made), folder / stated["model"]
     return {**own, "axes": made, "robot": robot, "method": method, "parameters": parameters, "model_path": path}
 

@@ -304,6 +304,7 @@ _OF_ROBOT = (
     | key("feed_forward", FeedForward, "torque that the drives add to the controllers' output", "none")
     | key("locked", Mapping[str, float],
           "positions of the model's joints that stand still and that no log has, by name [rad or m]", {})
+    | key("in_motion", bool, "whether the records begin while the robot moves, as its references do", False)
 )  # fmt: skip
 
 

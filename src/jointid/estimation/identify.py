@@ -128,7 +128,7 @@ def fit(
     if isinstance(model, ClosedLoop) and method.simulates == "loop":
         read = torques_of(read, [model] * len(read), method.outputs)
 
-    def fit_alone(records: Sequence[Record]) -> Estimate:
+    def fit_alone(records: Sequence[Record], _: bool = False) -> Estimate:
         return identify_record(records[0], model, method, filtering, known, progress)
 
     logs = [InMemory(one) for one in read] or log
@@ -192,9 +192,10 @@ def _fit_robot(
     if method.simulates == "loop":
         logs = tuple(torques_of(log, model.loops, method.outputs) for log in logs)
 
-    def fit_alone(records: Sequence[Record]) -> Estimate:
+    def fit_alone(records: Sequence[Record], in_motion: bool) -> Estimate:
         _check_robot_records([records], robot)
-        return method.identify_robot(model, [records], filtering, known, progress)
+        moving = replace(model, in_motion=in_motion or model.in_motion)
+        return method.identify_robot(moving, [records], filtering, known, progress)
 
     read = [one for log in logs for one in log]
     if windows is None:

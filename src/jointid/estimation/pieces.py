@@ -67,8 +67,8 @@ from jointid.uncertainty.position_dependent_error import RESTING, cells, uncerta
 FitRecord: TypeAlias = Callable[..., Estimate]
 """From a record, its loop and ``parameters``, which are changes to those, to the estimate of the record by itself."""
 
-FitWindow: TypeAlias = Callable[[Sequence[Record]], Estimate]
-"""From the records of a window, one of each joint, to its own estimate."""
+FitWindow: TypeAlias = Callable[[Sequence[Record], bool], Estimate]
+"""From the records of a window, one of each joint, and whether it is not the first, to its own estimate."""
 
 # Several records
 
@@ -493,7 +493,8 @@ def begin_window(like: Any, loop: ClosedLoop | RobotLoop, records: Sequence[Reco
     experiment, problem = log.experiment, replace(like, logs=(log,))
     speeds = wrong * np.std(np.diff(log.poses, axis=0), axis=0) / log.sample_time
     if log.tree is not None:
-        return problem.with_log(experiment=replace(experiment, speeds=experiment.speeds + speeds))
+        v, a = np.array([axis.reference_motion for axis in experiment.axes]).T
+        return problem.with_log(experiment=replace(experiment, speeds=v + speeds, accelerations=a.copy()))
     ((record,), axis) = records, experiment.axis
     assert record.torque is not None
     measured = record.torque.values[: len(log.measured)]
@@ -768,10 +769,10 @@ def _start(
     refusal: RecordError | MethodError = MethodError(NO_MOTION)
     first = list(islice((each for each in chunks_of(logs, *cut) if moves(each[1])), 5))
     enough = 0.5 * max((travel(records) for _, records in first), default=0.0)  # windows with less are tried last
-    for _, records in sorted(first, key=lambda one: travel(one[1]) < enough):
+    for chunk, records in sorted(first, key=lambda one: travel(one[1]) < enough):
         progress(f"starting from the window that begins at {records[0].begin:g} s")
         try:
-            found = fit(records)
+            found = fit(records, chunk.number > 0)
         except (RecordError, MethodError) as error:
             refusal = error
             continue

@@ -194,7 +194,7 @@ def recall(path: Path, file: File, key: str) -> Estimate | None:
         answer = read_report(path)
         if answer.get("key") == key:
             if "refused" in answer:
-                raise MethodError(str(answer["refused"]), str(answer.get("code")))
+                raise MethodError(str(answer["refused"]), str(answer.get("code") or ""))
             with _refuse_damage(path):
                 x = read(tuple[float, ...] | None, answer["x"])
                 made = read(Diagnosis | None, answer["diagnosis"])

@@ -110,9 +110,10 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     match = _IN_BRACKETS.search(column)
     if match is None or match[1].isdigit():  # "phi[0]" is an element
         return None
-    # "q [clicks]" is refused, not read as metres; "(filtered)" in "q (filtered)" is a remark.
+    # "q [clicks]" is refused, not read as metres; "(filtered)" in "q (filtered)" is a remark, as is "(A)" of an axis.
     said = match[1] if match[1] in known else units.normalise_unit(match[1])
-    return (said or None) if said in known or said in units.units_of() or column.rstrip().endswith("]") else None
+    another = said in units.units_of() and len(said) > 1 and said != "min"
+    return (said or None) if said in known or another or column.rstrip().endswith("]") else None
 
 
 def unit_fault(name: str, known: tuple[str, ...]) -> str:

@@ -42,7 +42,6 @@ _FEWEST = 10  # periods that can be simulated to any purpose
 _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
 _FAR = 1e3  # times the commanded travel: a motor this far away will not come back
 _FINEST = 16  # steps of the shortest period, at most: the time of a simulation grows with them
-_HARDLY = 0.01  # of its largest speed: at less a reference rests
 _FIRST = 7  # instants of a reference, through which a cubic says how it moves
 
 
@@ -177,10 +176,8 @@ class AxisInput:
 
     @property
     def reference_motion(self) -> tuple[float, float]:
-        """Velocity and acceleration of the reference at its first sample, 0 if it rests there."""
-        reference, steps = self.inputs[:_FIRST, REFERENCE], np.abs(np.diff(self.inputs[:, REFERENCE]))
-        if np.sum(steps[:1]) <= _HARDLY * np.max(steps, initial=0.0):
-            return 0.0, 0.0
+        """Velocity and acceleration of the reference at its first sample."""
+        reference = self.inputs[:_FIRST, REFERENCE]
         cubic = np.polyfit(np.arange(reference.size) * self.law.period, reference - reference[0], 3)
         return float(cubic[2]), float(2.0 * cubic[1])
 
@@ -288,7 +285,7 @@ def prepare(loop: ClosedLoop | RobotLoop, record: Record | Sequence[Record]) -> 
     axes = tuple(map(_prepare_axis, loops, records))
     if isinstance(loop, ClosedLoop):
         return LoopInput(axes, None, np.zeros(1), np.zeros(1))
-    motion = np.array([each.reference_motion for each in axes]).T.copy()
+    motion = np.array([each.reference_motion if loop.in_motion else (0.0, 0.0) for each in axes]).T.copy()
     return LoopInput(axes, loop.robot.tree, motion[0], motion[1], records[-1].payload, loop.robot.names)
 
 

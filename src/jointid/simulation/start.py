@@ -99,7 +99,10 @@ def first_state(axis: AxisInput, position: float, velocity: float, torque: float
 
 def wound_up(axis: AxisInput, velocity: float) -> float:
     """Direction of a motion before the first sample, 0 if negligible."""
-    fastest = float(np.max(np.abs(np.diff(axis.inputs[:, REFERENCE])), initial=0.0)) / axis.law.period
+    if velocity == 0.0:
+        return 0.0
+    reference = axis.inputs[:, REFERENCE]
+    fastest = float(np.max(np.abs(np.diff(reference)), initial=0.0)) / axis.law.period
     return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest > 0.0 else 0.0
 
 

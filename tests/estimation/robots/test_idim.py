@@ -156,7 +156,7 @@ def noisy(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
 
 
 def test_instruments_begin_in_motion_where_the_loop_does() -> None:
-    loop = two().loop()
+    loop = replace(two().loop(), in_motion=True)
     driven = [cut(one, 2000, 6000) for one in two().records(6.0)]
     records = simulate(loop, driven).records(driven)
     parameters = robot_parameters(loop.robot, whole=False)

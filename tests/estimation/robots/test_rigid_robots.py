@@ -79,6 +79,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
         first, second = loop.controllers
         loop = replace(loop, controllers=(replace(first, delay=4e-4), replace(second, period=2e-3)))  # type: ignore[type-var]
     if what == "in motion":
+        loop = replace(loop, in_motion=True)
         records = tuple(cut(one, 2000, 6000) for one in records)
     records, _ = recorded(loop, records)
     fit = search_robot(loop, records)

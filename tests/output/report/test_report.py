@@ -65,6 +65,8 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     of_folder = repetition(joint, [tmp_path], {}, ["joint.torque_constant=0.5", "record.channels.torque.tap=measured"])
     assert of_folder.record_date and of_folder.declared["Controller"] == "law cascade, integral time 30 ms"
     assert "0.5 (" in of_folder.declared["Drive"] and "actual value" in of_folder.declared["Drive"]
+    changes = ["drive.profile=generic", "record.channels.torque.column=i"]
+    assert "setpoint" not in repetition(joint, [record], {}, changes).declared["Drive"]  # a profile knows its signals
     one, both = repetition(joint, [record], {}), repetition(joint, [record, emps_path], {})
     record.write_text("t2", encoding="utf-8")
     hashes = {each.record_file_sha256 for each in (one, both, repetition(joint, [record, emps_path], {}))}

@@ -408,7 +408,8 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None, axis: str = "
     else:
         within = ": what was found wrong moves it by less than its interval"
         code, words = Trust.RELIABLE, f"You can rely on it{within if _failed(estimate, Subject.LOOP) else ''}"
-    return Message(code, words, {"reasons": [str(one.code) for one in against], "parameters": moved})
+    reasons = [*dict.fromkeys(str(one.code) for one in against)]  # of a robot once, and not for each axis
+    return Message(code, words, {"reasons": reasons, "parameters": moved})
 
 
 def trust_in_axis(estimate: Estimate, axis: str) -> Trust:

@@ -110,7 +110,7 @@ class JointSpring:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        if "elastic-load" in self.law.name:
+        if self.law.name == "elastic-load":
             raise MethodError(
                 "A part of a link that swings is a link of its own in a robot; expected another spring than "
                 f'"{self.law.name}": add a link with a spring to the model.'
@@ -397,6 +397,7 @@ class RobotLoop:
         robot: links, joints and gravity.
         controllers: one for each joint; each sees only its motor's position, behind the gear. With coupled motors
             the references are those of the shafts that the motors turn.
+        in_motion: whether the records begin while the robot moves, each shaft as its reference does; else at rest.
 
     Raises:
         MethodError: there is not one controller for each joint.
@@ -404,6 +405,7 @@ class RobotLoop:
 
     robot: Robot
     controllers: tuple[Controller, ...]
+    in_motion: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "controllers", tuple(self.controllers))

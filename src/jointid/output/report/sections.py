@@ -118,7 +118,8 @@ def repetition(
     tables = apply_changes(tomllib.loads(text), changes)
     constant = tables.get("joint", {}).get("torque_constant")
     drive = {"torque_constant": f"{constant} (it scales all values; only a known mass shows it)"} if constant else {}
-    if torque := tables.get("record", {}).get("channels", {}).get("torque"):
+    torque = tables.get("record", {}).get("channels", {}).get("torque", {})
+    if "tap" in torque or (torque and "profile" not in tables.get("drive", {})):  # a profile knows its signals
         logged = "an actual value" if torque.get("tap") == "measured" else "a setpoint"
         drive["torque"] = f"{logged} as declared (no record shows it behind a fast current loop)"
     stated = {"Controller": tables.get("controller", {}), "Drive": tables.get("drive", {}) | drive}
