@@ -408,8 +408,7 @@ def _rely_on(estimate: Estimate, asked: EstimatedParameter | None, axis: str = "
     else:
         within = ": what was found wrong moves it by less than its interval"
         code, words = Trust.RELIABLE, f"You can rely on it{within if _failed(estimate, Subject.LOOP) else ''}"
-    reasons = [*dict.fromkeys(str(one.code) for one in against)]  # of a robot once, and not for each axis
-    return Message(code, words, {"reasons": reasons, "parameters": moved})
+    return Message(code, words, {"reasons": [*dict.fromkeys(str(one.code) for one in against)], "parameters": moved})
 
 
 def trust_in_axis(estimate: Estimate, axis: str) -> Trust:
@@ -467,7 +466,8 @@ def _speak_against(estimate: Estimate, asked: EstimatedParameter | None, axis: s
     if asked.value is None:
         yield from (one for one in doubts if one.name == Subject.LOOP)
         return
-    yield from doubts
+    first = _failed(estimate, Subject.LOOP)[: any(one.name == Subject.LOOP for one in doubts)]  # others are beside it
+    yield from (*first, *(one for one in doubts if one not in first))
     if not asked.free or asked.at_bound is not None:
         return
     value, deviation = asked.value, asked.deviation
