@@ -130,12 +130,7 @@ class DriveSideFit(Method):
         problem = motion_problem(records, setup, task.filtering, task.parameters, delay)
         motions: list[MeasuredMotion] = [_keep_reversals(log).motion for log in problem.logs]
         if task.joint.springs:
-            joint, slow = task.joint, Filtering(cutoff=max(map(rigid_cutoff, records)))
-            rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, problem.around[-1])
-            values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff
-            row = row_of_frequencies(0.05 * (cutoff or 0.0), min(1.5 * (cutoff or 0.0), FASTEST / problem.sample_time))
-            at = search_spring(problem, [(values, row)], problem.filtering, history).x
-            found = history.solve(problem, at).solution
+            found = _search_spring(records, problem, history).solution
         else:
             try:
                 found = _fit_rigid(problem, history).solution
@@ -169,6 +164,15 @@ class DriveSideFit(Method):
 
 def _keep_reversals(log: Any) -> Any:
     return log.with_rows(moving_weights((log.motion.v * log.motion.counts)[:, 0])[:, np.newaxis])
+
+
+def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
+    """Search from a rigid joint below the resonance; return the end."""
+    joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.around[-1]
+    rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
+    values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
+    row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
+    return history.solve(problem, search_spring(problem, [(values, row)], problem.filtering, history).x)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:

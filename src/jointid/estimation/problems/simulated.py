@@ -15,7 +15,6 @@ in that log.
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -81,7 +80,7 @@ from jointid.solvers.solve import LevenbergMarquardt, solve
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
 _LATE = Place(0, LOG_DELAY.name)
-_ROOM, _LAST = Room(), threading.local()  # memory of runs; `made`: log, parameters, x, and the run that is in it
+_ROOM = Room()
 
 Runs: TypeAlias = tuple[Any, ...]
 """Runs of one candidate along several logs, each a `Run` or a `DriveSideRun`."""
@@ -447,13 +446,6 @@ class Simulated:
         """Simulate a candidate."""
         return self.runs_of(self.numbers(x), keep=keep)
 
-    def run_again(self, x: FloatArray) -> Runs:
-        """Simulate a robot; the run that gave the last rows is copied if it is the same."""
-        log, own, at, run = _LAST.__dict__.pop("made", (None,) * 4)
-        if (log,) != self.logs or own is not self.parameters or not np.array_equal(at, x) or log.motion_measured:
-            return self.run(x)
-        return (replace(run, tape=run.tape.copy(), excess=run.excess.copy()),)
-
     def run_of(self, numbers: Numbers, *, keep: bool = True) -> Runs | None:
         """Simulate a robot with these numbers; None if it cannot be simulated.
 
@@ -530,7 +522,7 @@ class Simulated:
     def rows(self, log: Log, x: FloatArray) -> tuple[FloatArray, FloatArray, Any]:
         """Unweighted error along a log, its derivatives, and the run."""
         run: Any = log.run(self.numbers(x), room=_ROOM)
-        _LAST.made, error = (log, self.parameters, x.copy(), run), _filter_error(log, run)
+        error = _filter_error(log, run)
         if run.outcome is not Outcome.FINISHED:
             return error, np.zeros((error.size, x.size)), run
         return error, log.slopes(run, self.parameters.keys) * -self.parameters.scales(x), run

@@ -130,7 +130,7 @@ def conclude(end: Solved, made: int, most: float = 1.0 / SHOWN) -> RobotFit:
         MethodError: the robot cannot be simulated there, or explains none of the torque; or a friction that grows with
             the torque is not told from others, see `find_separable`.
     """
-    problem, x, runs = end.problem, end.x, end.problem.run_again(end.x)
+    problem, x, runs = end.problem, end.x, end.problem.run(end.x)
     if (outcome := outcome_of(runs)) is not Outcome.FINISHED:
         raise MethodError(
             f"The search led to where the robot cannot be simulated: {outcome.value}. Record a livelier motion, "
