@@ -230,11 +230,12 @@ def test_what_is_not_excluded_widens_the_intervals() -> None:
     assert widened(number) == {"damping": 0.1} and widened() == {}  # the stiffness is not relied on
 
 
-@pytest.mark.parametrize(("seed", "gain"), [(250146, 1.0328), (250234, 0.9300)])
+@pytest.mark.parametrize(("seed", "gain"), [(250146, 1.0328), (250234, 0.9300), (250168, 0.9280)])
 def test_a_wrong_scale_of_the_log_is_not_relied_on(seed: int, gain: float) -> None:
-    """Two parameters at their bounds took it for noise, and a rival that no loop tells from it moved no value."""
-    axis = drive(seed, 8.0, "log")
+    """Bounds took it for noise, a rival that no loop tells from it moved no value, a p-value of 0.011 widened none."""
+    axis = drive(seed, 8.0, "coloured force" if seed == 250168 else "log")
     assert axis.record.torque is not None
     torque = replace(axis.record.torque, values=gain * axis.record.torque.values)
     found = ji.identify(axis.record.with_channels({"torque": torque}), axis.loop)
-    assert found.answer.trust.code == "not_reliable_yet"
+    within = abs(found["stiffness"].value - axis.truth["stiffness"]) < 2 * found["stiffness"].deviation
+    assert within if seed == 250168 else found.answer.trust.code == "not_reliable_yet"

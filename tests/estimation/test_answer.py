@@ -14,14 +14,10 @@ from tests.estimates import amended, beside_tables
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
 from tests.rigid_axis import LOOP, recorded
 
-RIGID = replace(
-    ESTIMATE,
-    rows=(
-        parameter("inertia", "ZZ", "kg", 94.9034, 0.46),
-        parameter("viscous", "Fv", "N s/m", 207.534, 13.0),
-        parameter("coulomb", "Fc", "N", 20.1, 0.3),
-    ),
-)
+RIGID = replace(ESTIMATE, rows=(
+    parameter("inertia", "ZZ", "kg", 94.9034, 0.46), parameter("viscous", "Fv", "N s/m", 207.534, 13.0),
+    parameter("coulomb", "Fc", "N", 20.1, 0.3),
+))  # fmt: skip
 SOFT = Check(Reason.SPRING_NOT_LINEAR, "soft", {"changes": {"damping": 1.0}}, name=Subject.LOOP, passed=False)
 
 
@@ -87,6 +83,10 @@ BOUND = with_row(flexible(), "load_inertia", stderr=None, free=False, at_bound=0
         (judged(RIGID, SOFT), "reliable", [], []),
         (  # each by less than two deviations, together by more
             judged(RIGID, replace(SOFT, values={"changes": {"inertia": 0.5}}), inertia=0.5),
+            "not_reliable_yet", ["loop_not_as_declared", "spring_not_linear"], [],
+        ),
+        (  # the second fault moves it, which was found beside the first one
+            judged(RIGID, replace(SOFT, values={"changes": {"inertia": 9.0}}), inertia=0.1),
             "not_reliable_yet", ["loop_not_as_declared", "spring_not_linear"], [],
         ),
         (judged(RIGID, doubt(Subject.REPEATABLE)), "not_reliable_yet", ["cause_found"], []),

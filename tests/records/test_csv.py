@@ -241,8 +241,7 @@ def test_every_dialect_is_found(
     try:
         again = read(text.replace("\n", newline).encode(encoding))
     except RecordError:  # a single column of "1,5" without a name
-        assert len(table.columns) == 1
-        assert decimal == ","
+        assert len(table.columns) == 1 and decimal == ","
         again = read(text.encode(encoding), decimal=",")
     if len(lines) > len(next(iter(table.columns.values()))):
         assert list(again.columns) == list(table.columns)

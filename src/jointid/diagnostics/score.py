@@ -357,7 +357,7 @@ class SolvedLoop:
         return tuple(one for fault in test.alike for one in self._test([fault]) if not self._excludes(one))
 
     def list_rivals(self, test: FaultTest) -> tuple[FaultTest, ...]:
-        """Significant tests of other faults that are nearly as likely, and of those that are alike."""
+        """Significant tests of faults that are nearly as likely, and of those alike to them."""
         least = test.strength**2 - RIVAL
         found = [x for x in self.tests if x is not test and x.p_value <= LEVEL and x.strength**2 > least]
         return (*found, *(alike for one in found for alike in self.list_alike(one)))
