@@ -10,11 +10,11 @@ from scipy.signal import lfilter
 
 from jointid.common.errors import JointidError
 from jointid.diagnostics.identify import identify
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
-from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.synthesis import simulated_record
 from tests.plants import Case, prismatic
 
@@ -76,7 +76,7 @@ def judge(seed: int, method: Literal["drive_side", "idim"]) -> ForceRun:
     assert isinstance(joint, FlexibleJoint)
     record = replace(record, reference=None, injected=None)
     try:
-        found = identify(record, joint, IDIM()) if method == "idim" else identify(record, DriveSide(joint))
+        found = identify(record, joint, IDIM() if method == "idim" else DriveSideFit())
     except JointidError:
         return ForceRun({})
     return ForceRun(_errors(found, case), found.answer.trust.code != "not_reliable_yet")

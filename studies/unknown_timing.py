@@ -18,7 +18,6 @@ from jointid.models.joints import RigidJoint
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.drive_side import DriveSide
 
 TRUE = {"inertia": 0.05, "viscous": 0.4, "coulomb": 0.5}
 """The joint: kg m2, N m s/rad and N m."""
@@ -62,7 +61,7 @@ def judge(seed: int, held: bool, way: str = "") -> dict[str, float]:
     rate = float(np.exp(np.random.default_rng([seed, 1]).uniform(low, high)))
     records, joint, true = logged(rate, held, seed, arm=way == "arm"), RigidJoint("revolute"), TRUE
     if way == "drive side":
-        found = identify(records[0], DriveSide(joint), DriveSideFit(log_delay=0.0), checks=False)
+        found = identify(records[0], joint, DriveSideFit(log_delay=0.0), checks=False)
     elif not way:
         found = identify(records[0], joint, IDIM(), checks=False)
     else:

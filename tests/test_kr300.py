@@ -94,6 +94,5 @@ def test_its_springs_are_refused_on_the_drive_side(file: File, data_dir: Path, n
     )
     with pytest.raises(ji.MethodError):
         identified(
-            ji.robots.RobotDriveSide(replace(file.robot, joints=joints)),
-            file.records(data_dir / "kr300" / f"rec_{name}.mat"),
+            replace(file.robot, joints=joints), file.records(data_dir / "kr300" / f"rec_{name}.mat"), ji.DriveSideFit()
         )

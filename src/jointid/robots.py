@@ -3,10 +3,9 @@
 from jointid.config.robot_model import load_robot
 from jointid.estimation.robots.bodies import consistent_robot, identify_payload
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint, RobotLoop
-from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.synthesis import add_feed_forward
 
 __all__ = [
-    "JointSpring", "Link", "Robot", "RobotDriveSide", "RobotJoint", "RobotLoop", "add_feed_forward",
+    "JointSpring", "Link", "Robot", "RobotJoint", "RobotLoop", "add_feed_forward",
     "consistent_robot", "identify_payload", "load_robot",
 ]  # fmt: skip

@@ -9,7 +9,6 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.validation import Prediction
-from jointid.simulation.drive_side import DriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import two
 
@@ -84,9 +83,9 @@ def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
 
 
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
-@pytest.mark.parametrize("setup", [LOOP.joint, DriveSide(LOOP.joint)])
-def test_by_measured_positions_too(setup: Any, inertia: float) -> None:
-    estimate = ji.identify(made(0.1, 1), setup)
+@pytest.mark.parametrize("method", [ji.IDIM(), ji.DriveSideFit()])
+def test_by_measured_positions_too(method: Any, inertia: float) -> None:
+    estimate = ji.identify(made(0.1, 1), LOOP.joint, method)
     found = ji.validate(estimate, made(0.13, 2, inertia=inertia))
     assert found.answer.code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.NOT_PREDICTED)
 

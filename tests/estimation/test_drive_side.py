@@ -9,7 +9,6 @@ from jointid.estimation.parameters import log_delay
 from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Timing
-from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.solve import LevenbergMarquardt, solve
 from jointid.uncertainty.covariance import Influence
@@ -20,13 +19,14 @@ FILTERING = ji.Filtering(cutoff=60.0)
 
 
 def problem_of(record: Record, delay: float | None = None) -> ClosedLoopProblem:
-    return motion_problem([record], DriveSide(JOINT), FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
+    return motion_problem([record], JOINT, FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
 
 
 @pytest.mark.slow
 def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
     made = twin("L19", noise="none")
-    estimate = ji.identify(made.record.without("reference", "injected"), DriveSide(JOINT), filtering=FILTERING)
+    record = made.record.without("reference", "injected")
+    estimate = ji.identify(record, JOINT, ji.DriveSideFit(), filtering=FILTERING)
     for p in JOINT.parameters:
         assert estimate[p.name].value == pytest.approx(made.truth[p.name], rel=2e-3), p.name
     for name in PHYSICAL:
@@ -39,9 +39,8 @@ def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
 @pytest.mark.slow
 def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
     record = twin("L30", noise="none").record  # a command that acts one period later
-    assert ji.identify(record, DriveSide(JOINT), filtering=FILTERING)["log_delay"].value == pytest.approx(
-        -1e-3, abs=2e-6
-    )
+    estimate = ji.identify(record, JOINT, ji.DriveSideFit(), filtering=FILTERING)
+    assert estimate["log_delay"].value == pytest.approx(-1e-3, abs=2e-6)
 
 
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
@@ -54,7 +53,7 @@ def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     for noise, told in ((0.1, True), (40.0, False)):
         record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise * random)
         settings = ji.DriveSideFit(log_delay=0.0)
-        found = ji.identify(record.without("reference"), DriveSide(joint), settings)
+        found = ji.identify(record.without("reference"), joint, settings)
         assert found["inertia"].value is not None
         least = {name: found[name].interval[0] for name in ("inertia", "viscous")}
         assert (least["inertia"] > 0) is told
@@ -74,7 +73,7 @@ def test_a_load_that_sticks_is_identified() -> None:
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, injected=known)
     record = record.without("load_position", "reference", "injected")
     filtering = ji.Filtering(cutoff=60.0, position_cutoff=300.0)
-    estimate = ji.identify(record, DriveSide(JOINT), filtering=filtering)
+    estimate = ji.identify(record, JOINT, ji.DriveSideFit(), filtering=filtering)
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
 
@@ -113,7 +112,7 @@ def test_a_rigid_joint_needs_no_load() -> None:
     loop = ji.ClosedLoop(joint, CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids(speeds=(0.05, 0.12), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.4)
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    estimate = ji.identify(record.without("reference"), DriveSide(joint))
+    estimate = ji.identify(record.without("reference"), joint, ji.DriveSideFit())
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
     assert any("rests in" in warning for warning in estimate.warnings)

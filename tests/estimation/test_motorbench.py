@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 import jointid as ji
-from jointid.simulation.drive_side import DriveSide
 from tests.estimation.motorbench import JOINT, Bench
 
 FILTERING = ji.Filtering(cutoff=150.0, position_cutoff=600.0)
@@ -20,7 +19,7 @@ def bench(data_dir: Path) -> Bench:
 
 @pytest.fixture(scope="module")
 def hidden(bench: Bench) -> ji.Estimate:
-    return ji.identify(bench.record(), DriveSide(JOINT), filtering=FILTERING)
+    return ji.identify(bench.record(), JOINT, ji.DriveSideFit(), filtering=FILTERING)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +68,7 @@ def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_b
 @pytest.mark.slow
 def test_the_command_comes_before_the_torque(bench: Bench) -> None:
     filtering = ji.Filtering(cutoff=200.0, position_cutoff=600.0)
-    estimate = ji.identify(bench.record("command"), DriveSide(JOINT), filtering=filtering)
+    estimate = ji.identify(bench.record("command"), JOINT, ji.DriveSideFit(), filtering=filtering)
     # With the half period for which it is held, the command is 0.6 ms ahead of what the motor feels.
     assert estimate["log_delay"].value == pytest.approx(-0.4e-3, abs=0.05e-3)
     assert estimate["stiffness"].value == pytest.approx(565, rel=0.01)

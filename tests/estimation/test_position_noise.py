@@ -6,7 +6,6 @@ import pytest
 import jointid as ji
 from jointid.records.record import Channel, Record, Tap
 from jointid.records.signals.filtering import find_noise_limit
-from jointid.simulation.drive_side import DriveSide
 
 TRUE = {"inertia": 0.8, "viscous": 5.0, "coulomb": 4.0}
 FREQUENCIES, AMPLITUDES = np.array([0.31, 0.83, 1.9, 3.1]), np.array([0.9, 0.4, 0.15, 0.04])
@@ -36,11 +35,10 @@ def moved(rate: float, step: float, noise: float, duration: float = 10.0) -> tup
 def test_default_is_as_good_as_the_best_by_hand(rate, step, noise, method):
     record, _ = moved(rate, step, noise)
     joint = ji.RigidJoint("revolute")
-    model = joint if method.name == "idim" else DriveSide(joint)
-    found = ji.identify(record, model, method)
+    found = ji.identify(record, joint, method)
     for name, true in TRUE.items():
         assert found[name].value == pytest.approx(true, rel=0.02), name
-    by_hand = [ji.identify(record, model, method, filtering=ji.Filtering(cutoff=hertz)) for hertz in (8.0, 15.0, 30.0)]
+    by_hand = [ji.identify(record, joint, method, filtering=ji.Filtering(cutoff=hertz)) for hertz in (8.0, 15.0, 30.0)]
     for name, true in TRUE.items():
         best = min(abs(one[name].value - true) for one in by_hand)
         assert abs(found[name].value - true) <= best + 0.02 * true, name

@@ -13,12 +13,12 @@ import jointid as ji
 from jointid.models.friction import Friction
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.paper.twin import twin
-from jointid.simulation.drive_side import DriveSide
 from tests.estimation.robots.twin import arm, records_of
 from tests.estimation.test_recovery import LOOP, MOVING, TRUTH, T, simulated_record
 
 RECORD = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
 RIGID, FLEXIBLE = ji.RigidJoint("prismatic"), ji.FlexibleJoint("prismatic")
+ON_LOAD = replace(FLEXIBLE, ripple=PositionHarmonics(0.02, side="load"))
 ASYMMETRIC = ji.RigidJoint("prismatic", friction=Friction("asymmetric"))
 AXIS, ARM = twin(noise="none"), arm(2)
 VERBS: tuple[Any, ...] = (ji.identify, ji.diagnose, ji.write, ji.validate, ji.intervals, ji.simulate, ji.Report.of)
@@ -50,7 +50,7 @@ def resting() -> None:
         (lambda: ji.identify(RECORD.without("reference"), LOOP, ji.DIDIM()), ji.RecordError),
         (lambda: ji.identify(AXIS.record.without("load_position"), AXIS.loop, ji.IDIM()), ji.RecordError),
         (lambda: ji.identify(AXIS.record.without("reference"), AXIS.loop, ji.IDIM("iv")), ji.RecordError),
-        (lambda: ji.identify(RECORD.without("motor_position"), DriveSide(RIGID)), ji.RecordError),
+        (lambda: ji.identify(RECORD.without("motor_position"), RIGID, ji.DriveSideFit()), ji.RecordError),
         (resting, ji.RecordError),
         # parameters
         (lambda: ji.identify(RECORD, ASYMMETRIC, parameters={"offset": RIGID.parameters[3]}), ji.MethodError),
@@ -67,6 +67,7 @@ def resting() -> None:
         (lambda: ji.identify(RECORD, RIGID, ji.DIDIM()), ji.MethodError),
         (lambda: ji.identify(RECORD, replace(LOOP, joint=FLEXIBLE), ji.DIDIM(evaluations=9)), ji.MethodError),
         (lambda: ji.identify(RECORD, LOOP, ji.DIDIM(frequency=30.0)), ji.MethodError),
+        (lambda: ji.identify(AXIS.record, ON_LOAD, ji.DriveSideFit()), ji.MethodError),
         (lambda: ji.DIDIM(tolerance=0.0), ji.MethodError),
         (lambda: ji.DIDIM(outputs=("torque", "motor_position")), ji.MethodError),
         # What one record cannot tell, what the law has not, and numbers from which no search begins.

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 import jointid as ji
-from jointid.simulation.drive_side import DriveSide
 from tests.edits import Edit, all_channels, changes, declares, has, late_by, law, log, slower, swap
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -273,7 +272,7 @@ def robot(count: int, springs: bool, way: str, seed: int) -> ji.Estimate:
     if way == "loop":
         noisy = [r.without("motor_position", "load_position") for r in noisy]
         return ji.identify(noisy, ji.robots.RobotLoop(bare, laws))
-    return ji.identify(noisy, ji.robots.RobotDriveSide(bare) if springs else bare)
+    return ji.identify(noisy, bare, ji.DriveSideFit() if springs else ji.IDIM())
 
 
 def learned(seed: int) -> Any:
@@ -295,7 +294,7 @@ def real(name: str) -> Any:
         file = ji.load(ROOT / "examples" / "emps" / "joint.toml")
         logged = file.record(DATA / "emps" / ("DATA_EMPS.mat" if folder == "emps" else "DATA_EMPS_PULSES.mat"))
         if way == "drive_side":
-            return ji.identify(logged, DriveSide(file.loop.joint))
+            return ji.identify(logged, file.loop.joint, ji.DriveSideFit())
         return ji.learn_controller(logged) if way == "learned" else ji.identify(logged, file.loop, methods[way])
     if folder == "motorbench":
         file = ji.load(ROOT / "examples" / "motorbench" / "joint.toml")

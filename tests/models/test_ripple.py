@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
 from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.models.springs import Spring
 from jointid.paper.twin import TABLE_2
 from jointid.planning.joints import _holding_torque
-from jointid.simulation.drive_side import PARTS, DriveSide, prescribe, run_drive_side
+from jointid.simulation.drive_side import PARTS, prescribe, run_drive_side
 from jointid.simulation.plant import Numbers, Place
 from jointid.simulation.start import steady_joint
 
@@ -59,8 +58,6 @@ def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
     columns = RIPPLE.columns(run.motion.position[:, 0])
     np.testing.assert_allclose((run.torque - plain.torque)[:, 0], columns @ list(WAVED.values()), atol=1e-9)
     np.testing.assert_allclose(run.columns([Place(0, name) for name in WAVED])[0][1], columns)
-    with pytest.raises(MethodError, match="takes a joint without a ripple on the load's side; received one that has"):
-        DriveSide(FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load")))
 
 
 def test_what_holds_a_joint_holds_it_on_its_ripple() -> None:

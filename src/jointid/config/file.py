@@ -141,13 +141,9 @@ class File:
 
     @property
     def setup(self) -> Any:
-        """System that the method identifies: closed loop, joint, robot or drive side."""
+        """System that the method identifies: closed loop, joint or robot."""
         if self.robot is None:
             return self.loop or self.joint
-        if self.method.simulates == "motion":
-            from jointid.simulation.drive_side import RobotDriveSide
-
-            return RobotDriveSide(self.robot)
         return self.loop if self._simulates else self.robot
 
     @property

@@ -33,7 +33,6 @@ from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record, takes_record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 
 _POOR_MOTION = "motion_poor"
 _ENOUGH = (_POOR_MOTION, Agreement.SCALED, Agreement.LATE)  # after these no joint would be right
@@ -43,7 +42,7 @@ _ENOUGH = (_POOR_MOTION, Agreement.SCALED, Agreement.LATE)  # after these no joi
 @takes_record
 def diagnose(
     record: Record | Sequence[Record],
-    model: ClosedLoop | DriveSide | Joint | Robot | RobotLoop | RobotDriveSide,
+    model: ClosedLoop | Joint | Robot | RobotLoop,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,

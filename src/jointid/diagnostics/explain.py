@@ -32,6 +32,8 @@ from jointid.diagnostics.score import LEVEL, SolvedLoop
 from jointid.diagnostics.search import is_gross
 from jointid.diagnostics.suspects import Finding
 from jointid.estimation.identify import identify_record, part_of
+from jointid.estimation.methods.drive_side import DriveSideFit
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.parameters import DELAYS, OF_LOG
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
@@ -44,7 +46,6 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.plant import DELAY
 from jointid.simulation.start import INITIAL
 from jointid.solvers.solve import LevenbergMarquardt, solve
@@ -253,7 +254,7 @@ def find_causes(
     if not flexible or least > _MORE * responses:
         with contextlib.suppress(*FAILS):
             moved = replace(declared.record, motor_position=declared.record.reference, load_position=None)
-            one = identify_record(moved, DriveSide(loop.joint) if flexible else loop.joint, None, declared.filtering)
+            one = identify_record(moved, loop.joint, DriveSideFit() if flexible else IDIM(), declared.filtering)
             words = "the channel given as the reference is the motor's position"
             candidates.append(Cause("reference_is_position", words, left=one.fit.filtered_error))
     if isinstance(loop.joint, RigidJoint):

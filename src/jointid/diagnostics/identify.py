@@ -48,7 +48,6 @@ from jointid.records.chunks import InMemory, Log
 from jointid.records.record import Record, takes_record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.derivatives import respond_to_laws
-from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.simulate import Run
 from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
@@ -62,7 +61,7 @@ LATER = {"later": True}  # values of a check that was left out on request, and i
 @takes_record
 def identify(
     record: Record | Sequence[Record] | Sequence[Sequence[Record]] | Log | InMemory,
-    model: ClosedLoop | DriveSide | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
+    model: ClosedLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop,
     method: Method | None = None,
     *,
     filtering: Filtering | None = None,
@@ -80,8 +79,8 @@ def identify(
             memory. Of a robot the records, or logs, of its joints, on one clock; or the records of several logs, in one
             fit, which is not checked.
         model: the loop (joint and controller), or the joint alone when the controller is not known. For several records
-            a loop, or one for each record: of one joint under different gains. A `robots.Robot` alone, a
-            `robots.RobotLoop` with its controllers, or a `robots.RobotDriveSide` along the motors' motion.
+            a loop, or one for each record: of one joint under different gains. A `robots.Robot` alone, or
+            a `robots.RobotLoop` with its controllers.
         method: `DIDIM`, `IDIM` or `DriveSideFit` with its settings; by default DIDIM when the controller is known, even
             where the record has a motor position, which is then not read; otherwise IDIM. A log is identified by DIDIM,
             several records also by IDIM where they share all parameters. A robot likewise.

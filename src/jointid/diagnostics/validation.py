@@ -43,7 +43,6 @@ from jointid.models.joints import ClosedLoop
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled, takes_record
 from jointid.simulation.controller_torque import compute_controller_torque
-from jointid.simulation.drive_side import DriveSide
 from jointid.simulation.simulate import Outcome, motion_at
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
@@ -354,7 +353,7 @@ def _simulate(estimate: Estimate, records: Sequence[Record]) -> _Predicted:
             free = free.keeping({"initial_velocity": problem.values(x)["initial_velocity"]})
         else:  # with the log's own delay
             delay = LOG_DELAY.fix(-settings.delay)
-            free = motion_problem([record], DriveSide(joint), settings.filtering, joint.parameters, delay)
+            free = motion_problem([record], joint, settings.filtering, joint.parameters, delay)
             problem = free.keeping(values)
             x = solve(problem, _SEARCH, problem.vector({})).x if problem.free else np.zeros(0)
         runs, start = problem.run(x), free.vector(problem.values(x))

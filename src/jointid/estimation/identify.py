@@ -30,7 +30,6 @@ from jointid.records.chunks import InMemory, LongRecord, cut
 from jointid.records.record import CHANNELS, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.controller_torque import compute_controller_torque
-from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 
 LARGEST = 600_000
 """Samples of all joints' records that are identified at once, in about 1 GiB for a joint; longer ones go in windows."""
@@ -116,7 +115,7 @@ def fit(
     samples = sum(max((len(channel) for _, channel in one.items()), default=0) for one in every)
     if samples > LARGEST and windows is None and (method is None or method.simulates):
         progress(f"{samples:,} samples are identified at once, in about {samples / LARGEST:.2g} GiB or more")
-    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
+    if isinstance(model, Robot | RobotLoop):
         if not listed or several:
             raise MethodError("A robot is identified from a list of its joints' records, without `several`: give that.")
         return _fit_robot(record, model, method or default_method(model), filtering, known, windows, progress)
@@ -152,7 +151,7 @@ def _fit_records(
     """
     shared = "added_inertia", "own", "free"
     asked = any(name not in shared or (any(v) if np.iterable(v) else v) for name, v in several.items())
-    plain = isinstance(model, Joint | DriveSide | ClosedLoop) and not asked
+    plain = isinstance(model, Joint | ClosedLoop) and not asked
     alike = plain and (method or default_method(model)).stacks
     by_loop = isinstance(model, ClosedLoop | Sequence) and (method is None or method.simulates == "loop")
     if not (records and all(isinstance(one, Record) for one in records) and (alike or by_loop)):
@@ -186,8 +185,8 @@ def _fit_robot(
     method.require_settings_of("robot")
     if type(model) not in method.robots:
         raise MethodError(
-            f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM for a Robot, DIDIM for a "
-            "RobotLoop, or DriveSideFit for a RobotDriveSide."
+            f"{type(method).__name__} is not for a {type(model).__name__}; use IDIM or DriveSideFit for "
+            "a Robot, or DIDIM for a RobotLoop."
         )
     if method.simulates == "loop":
         logs = tuple(torques_of(log, model.loops, method.outputs) for log in logs)
@@ -212,7 +211,7 @@ def _fit_robot(
 
 def identify_record(
     record: Record,
-    model: ClosedLoop | DriveSide | Joint,
+    model: ClosedLoop | Joint,
     method: Method | None = None,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,

@@ -26,13 +26,12 @@ from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.base_parameters import name_of
 from jointid.models.robots.robot import Robot, RobotLoop
-from jointid.simulation.drive_side import DriveSide, RobotDriveSide
 from jointid.simulation.plant import DELAY
 from jointid.uncertainty.covariance import covariance_of
 from jointid.uncertainty.identifiability import Identifiability
 
-RobotSystem = Robot | RobotLoop | RobotDriveSide
-System = Joint | ClosedLoop | DriveSide | RobotSystem
+RobotSystem = Robot | RobotLoop
+System = Joint | ClosedLoop | RobotSystem
 
 _DIGITS = 2e-3  # of the numbers in a sum, which has four
 _TERM = re.compile(r"(?:^|([+-]) )(\S+)(?: \* ([0-9.e+-]+))?")  # sign, symbol and weight in a sum
@@ -104,7 +103,7 @@ def _restore_robot(answer: dict[str, Any], system: RobotSystem, rows: dict[str, 
     """
     settings, robot = answer["settings"], system.robot
     simulates = method_of(settings["method"]).simulates
-    setup: RobotSystem = RobotDriveSide(robot)
+    setup: RobotSystem = robot
     if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):
         raise RecordError(f"it is of the joints {', '.join(stated)}, and this robot has {', '.join(robot.names)}")
     if refused := [name for name, row in rows.items() if row.value is None]:

@@ -21,9 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
-from jointid.models.joints import Joint
-from jointid.models.robots.robot import Robot, Tree
+from jointid.models.robots.robot import Tree
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.kernels import STATE, IntArray
 from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place
@@ -37,36 +35,6 @@ PARTS_OF_ROBOT = 1
 
 _DEGREE = 7  # of the spline, odd: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
 _HELD = 1e6  # kg m2 of one in a step's choice, which asks for numbers of one size
-
-
-@dataclass(frozen=True, slots=True)
-class DriveSide:
-    """A joint under prescribed motor motion: from motor position to torque.
-
-    Attributes:
-        joint: rigid, or flexible: then the load, which the record does not show, is simulated.
-    """
-
-    joint: Joint
-
-    def __post_init__(self) -> None:
-        self.joint.require_linear("The drive side takes")
-        if self.joint.ripple is not None and self.joint.ripple.side == "load":
-            raise MethodError(
-                "The drive side takes a joint without a ripple on the load's side; received one that has it: identify "
-                'by the method "didim".'
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class RobotDriveSide:
-    """Robot with recorded motor motion, independent of controllers; it predicts torques.
-
-    Attributes:
-        robot: links, joints and gravity.
-    """
-
-    robot: Robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.robots.bodies import Payload, identify_payload, payload_difference
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers
 from jointid.records.record import Record
-from jointid.simulation.drive_side import RobotDriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.test_robot_drive_side import logged
 from tests.estimation.robots.twin import arm, hide_spring, identified, records_of, with_payload
@@ -88,7 +88,7 @@ def test_a_payload_is_weighed_on_the_drive_side() -> None:
     twin = six((False, True, True, False, False, False))
     loaded = replace(twin, robot=with_payload(twin.robot, BODY.inertial))
     one, other = logged(twin, 5.0, seed=1), logged(loaded, 6.0, seed=2, first=1000)
-    found = identify_payload(RobotDriveSide(twin.robot), one, other)
+    found = identify_payload(twin.robot, one, other, DriveSideFit())
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
     values, std = found.properties
     assert np.mean(np.abs(values - TRUTH) < 2 * std) > 0.7

@@ -57,7 +57,7 @@ def blank(robot: Robot) -> Robot:
 
 def identified(twin: Twin, records: tuple[Record, ...], **how: object) -> RobotFit:
     settings = ji.DriveSideFit(**how)  # type: ignore[arg-type]
-    return search_robot(ji.robots.RobotDriveSide(blank(twin.robot)), records, None, settings)
+    return search_robot(blank(twin.robot), records, None, settings)
 
 
 def inside(found: RobotFit, twin: Twin) -> float:
@@ -96,7 +96,7 @@ def test_a_known_delay_that_counts_from_a_timing_that_nobody_stated_is_searched(
     twin = two((12.0, 18.0))
     unstated = [replace(one, torque=replace(one.torque, stated=False)) for one in logged(twin) if one.torque]
     settings = ji.DriveSideFit(log_delay=1.5e-3, frequencies=hertz(twin))
-    found = ji.identify(unstated, ji.robots.RobotDriveSide(blank(twin.robot)), settings, checks=False)
+    found = ji.identify(unstated, blank(twin.robot), settings, checks=False)
     row = found["log_delay"]
     assert row.free and row.value is not None and row.stderr is not None
     assert abs(row.value) < 2e-5
@@ -125,7 +125,7 @@ def test_springs_beside_a_rigid_joint_and_of_motors_that_are_coupled(hertz: Any,
 def test_friction_that_rises_towards_standstill() -> None:
     twin = changed(two((12.0, 18.0)), *RISING)
     slow = changed(replace(twin, robot=blank(twin.robot)), *SPEEDS).robot
-    found = search_robot(ji.robots.RobotDriveSide(slow), logged(twin))
+    found = search_robot(slow, logged(twin), None, ji.DriveSideFit())
     assert_springs(found, twin, 0.02, 3.5)
     for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
         value, deviation = found.value(f"{joint}.stribeck_force")
@@ -159,7 +159,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     twin = replace(two((12.0, 18.0)), home=np.array([1.6, -2.3]))  # far from 0
     heavier = twin.robot.with_inertials(1.3 * np.array([link.inertial for link in twin.robot.links]))
     known = {"joint1.offset": Parameter("offset", "offset", Quantity.FORCE).fix(twin.robot.joints[0].offset)}
-    estimate = ji.identify(logged(twin), ji.robots.RobotDriveSide(heavier), parameters=known)
+    estimate = ji.identify(logged(twin), heavier, ji.DriveSideFit(), parameters=known)
     row = estimate["joint1.offset"]
     assert (row.free, row.value, row.stderr, row.axis) == (False, known[row.name].start, None, "joint1")
     assert np.all(axis_errors(estimate) < 0.02)
@@ -180,7 +180,7 @@ def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
     """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
     twin = two((12.0, 18.0))
     begun = logged(twin, duration=8.0, first=1500)
-    estimate = ji.identify(begun, ji.robots.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
+    estimate = ji.identify(begun, twin.robot, ji.DriveSideFit(frequencies=hertz(twin)))
     assert np.all(axis_errors(estimate) < 0.015)
     nominal = np.array([*estimate.fit.nominal_errors.values()])
     assert np.all(nominal < 1.1 * axis_errors(estimate))

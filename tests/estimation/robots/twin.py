@@ -17,7 +17,6 @@ from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint, RobotLoop
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import RobotDriveSide
 from tests.models.robots.trees import inverse_dynamics
 
 Array = NDArray[np.float64]
@@ -106,7 +105,7 @@ def with_payload(robot: Robot, payload: Array) -> Robot:
 
 
 def identified(
-    model: Robot | RobotLoop | RobotDriveSide,
+    model: Robot | RobotLoop,
     records: Sequence[Record],
     method: Method | None = None,
     *,

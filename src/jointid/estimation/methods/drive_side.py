@@ -41,9 +41,10 @@ from jointid.estimation.result.estimate import Estimate, Settings, build_estimat
 from jointid.estimation.robots.simulated import identify_simulated_robot
 from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
 from jointid.models.joints import Joint
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, describe_noise_limit
-from jointid.simulation.drive_side import PARTS, DriveSide, RobotDriveSide, prescribe
+from jointid.simulation.drive_side import PARTS, prescribe
 from jointid.simulation.plant import LOAD_STATE
 from jointid.uncertainty.covariance import Influence
 
@@ -55,25 +56,29 @@ _LOAD_PARAMETERS = (
 
 def motion_problem(
     records: Sequence[Record],
-    setup: DriveSide,
+    joint: Joint,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     delay: Parameter,
 ) -> ClosedLoopProblem:
     """Problem of records' torques along measured motor motion, late by ``log_delay``."""
     require_free(parameters)
-    flexible = setup.joint.model == "flexible"
-    logs = [_motion_log(record, setup.joint, filtering) for record in records]
-    moves = [bool(moving_weights(log.motion.v[:, 0])[0]) for log in logs if flexible]
+    if joint.ripple is not None and joint.ripple.side == "load":
+        raise MethodError(
+            "The drive side takes a joint without a ripple on the load's side; received one that has it: identify "
+            'by the method "didim".'
+        )
+    logs = [_motion_log(record, joint, filtering) for record in records]
+    moves = [bool(moving_weights(log.motion.v[:, 0])[0]) for log in logs if joint.springs]
     if len(moves) > 1 and any(moves):
         raise MethodError(
             f"The motor moves at the first sample of record {moves.index(True) + 1}; expected that each of several "
             "begins at rest, of a flexible joint: cut it where the motor rests."
         )
     # A load at rest rests where it was left.
-    first = tuple(replace(p, free=moves[0], start=0.0) for p in _LOAD_PARAMETERS[: 2 * flexible])
-    every = Parameters.of_joint(setup.joint, (*parameters, *first, delay))
-    return ClosedLoopProblem(tuple(logs), every, np.ones((1, len(logs))), setup)
+    first = tuple(replace(p, free=moves[0], start=0.0) for p in (_LOAD_PARAMETERS if moves else ()))
+    every = Parameters.of_joint(joint, (*parameters, *first, delay))
+    return ClosedLoopProblem(tuple(logs), every, np.ones((1, len(logs))), joint)
 
 
 def _motion_log(record: Record, joint: Joint, filtering: Filtering) -> MotionLog:
@@ -97,8 +102,7 @@ class DriveSideFit(Method):
 
     name = "drive_side"
     title = "the drive-side method"
-    default_for = DriveSide, RobotDriveSide
-    robots = (RobotDriveSide,)
+    robots = (Robot,)
     simulates = "motion"
     stacks = True
 
@@ -123,11 +127,11 @@ class DriveSideFit(Method):
             RecordError: a channel is missing, or at another rate.
             MethodError: no start gives a joint with positive inertias.
         """
-        records, setup, history = (task.record, *task.others), DriveSide(task.joint), History(task.progress)
+        records, history = (task.record, *task.others), History(task.progress)
         task.record.require(("torque", "motor_position"), "Drive-side identification")
         torque: Any = task.record.torque
         delay = log_delay(self.log_delay, torque.sample_time, stated=torque.stated)
-        problem = motion_problem(records, setup, task.filtering, task.parameters, delay)
+        problem = motion_problem(records, task.joint, task.filtering, task.parameters, delay)
         motions: list[MeasuredMotion] = [_keep_reversals(log).motion for log in problem.logs]
         if task.joint.springs:
             found = _search_spring(records, problem, history).solution
@@ -169,7 +173,7 @@ def _keep_reversals(log: Any) -> Any:
 def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
     """Search from a rigid joint below the resonance; return the end."""
     joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.around[-1]
-    rigid = motion_problem(records, DriveSide(joint.rigid), slow, joint.rigid.parameters, delay)
+    rigid = motion_problem(records, joint.rigid, slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
     return history.solve(problem, search_spring(problem, [(values, row)], problem.filtering, history).x)

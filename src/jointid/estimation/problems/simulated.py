@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,10 +63,8 @@ from jointid.simulation.controller_torque import SeenPosition, seen_position
 from jointid.simulation.derivatives import differentiate
 from jointid.simulation.drive_side import (
     PARTS_OF_ROBOT,
-    DriveSide,
     DriveSideRun,
     PrescribedMotion,
-    RobotDriveSide,
     differentiate_drive_side,
     moves_links,
     prescribe,
@@ -553,21 +551,20 @@ class ClosedLoopProblem(Simulated):
     contain the information on the initial state and no position is differentiated.
 
     Attributes:
-        system: the simulated loop or drive side.
+        system: the simulated loop, or along a motion the joint.
     """
 
-    system: ClosedLoop | DriveSide
+    system: ClosedLoop | Joint
 
     @property
     def joint(self) -> Joint:
         """The joint."""
-        return self.system.joint
+        return self.system.joint if isinstance(self.system, ClosedLoop) else self.system
 
     @property
     def loop(self) -> ClosedLoop:
         """The joint and its controller."""
-        assert isinstance(self.system, ClosedLoop)
-        return self.system
+        return cast("ClosedLoop", self.system)
 
     @property
     def axis(self) -> AxisInput:
@@ -626,7 +623,8 @@ class ClosedLoopProblem(Simulated):
         given = {p.name: p for p in self.parameters}
         own = [replace(given.get(p.name, p), symbol=p.symbol) for p in joint.parameters] if own is None else own
         parameters = Parameters.of_joint(joint, (*own, *self.around))
-        return replace(self, system=replace(self.system, joint=joint), parameters=parameters)
+        system = joint if self.log.motion_measured else replace(self.loop, joint=joint)
+        return replace(self, system=system, parameters=parameters)
 
     def under(self, controller: Controller, record: Record | None = None) -> ClosedLoopProblem:
         """The problem with another controller, or with its record prepared for it.
@@ -723,7 +721,7 @@ def require_free(parameters: tuple[Parameter, ...]) -> None:
 
 
 def pose_robot(
-    setup: Robot | RobotLoop | RobotDriveSide,
+    setup: Robot | RobotLoop,
     records: Records,
     parameters: Parameters,
     filtering: Filtering | None = None,

@@ -40,7 +40,6 @@ from jointid.models.robots.inertial import (
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import LOAD_STATE, LOG_DELAY, Numbers, Place, robot_with
 from jointid.uncertainty.covariance import INTERVAL, Covariance, covariance_of
 
@@ -255,7 +254,7 @@ def _convert(inertial: FloatArray) -> FloatArray:
 
 @one_thread()
 def identify_payload(
-    model: Robot | RobotLoop | RobotDriveSide,
+    model: Robot | RobotLoop,
     empty: Sequence[Record] | Estimate,
     loaded: Sequence[Record],
     method: Method | None = None,
@@ -267,7 +266,7 @@ def identify_payload(
 
     Args:
         model: the robot's geometry, gravity and coupling for IDIM; the robot under its controllers, whose gains are the
-            same with the payload, for DIDIM; or a flexible robot on the drive side.
+            same with the payload, for DIDIM; or a flexible robot for the drive side.
         empty: the record of each joint without the payload, or the robot's estimate by the same method.
         loaded: the record of each joint with it; another motion will do.
         method: as of `jointid.identify`.

@@ -66,7 +66,6 @@ from jointid.estimation.spring_search import LITTLE, STIFFEST, SplitRobot
 from jointid.models.controllers import numbers_of
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, values_of_joint
 from jointid.simulation.simulate import Outcome
 from jointid.solvers.solve import LevenbergMarquardt, Status
@@ -194,7 +193,7 @@ def linearise_again(end: Solved) -> tuple[FloatArray, FloatArray]:
 
 
 def search_robot(
-    setup: RobotLoop | RobotDriveSide,
+    setup: Robot | RobotLoop,
     records: Records,
     filtering: Filtering | None = None,
     settings: Method | None = None,
@@ -297,7 +296,8 @@ class _Search:
         """
         problem = self.pose(near, self.filtering)
         _require_springs(near.robot, self.how.frequencies, problem.sample_time)
-        rigid = self.find_rigid(replace(near, robot=near.robot.rigid), SLOW, 1)
+        rigid = near.robot.rigid
+        rigid = self.find_rigid(rigid if self.along else replace(near, robot=rigid), SLOW, 1)
         problem = problem.reweight(problem.error(rigid.runs), rigid.x.size)
         found = self.find_springs_from(problem, problem.roughly(), rigid)
         if self.along and problem.roughly() is not problem and None not in found.springs.values():

@@ -21,7 +21,6 @@ from jointid.estimation.robots.didim import RobotFit, conclude, search_robot
 from jointid.models.robots.robot import Robot, RobotLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import RobotDriveSide
 from jointid.simulation.plant import DELAY, LOG_DELAY, OF_RECORD, Numbers, robot_with
 from jointid.solvers.solve import LevenbergMarquardt, solve
 
@@ -42,7 +41,7 @@ class IdentifiedRobot:
         values: (parameters,) in the order of `names`, in SI units; that of a refused parameter is invalid.
     """
 
-    setup: Robot | RobotLoop | RobotDriveSide
+    setup: Robot | RobotLoop
     parameters: Parameters
     values: FloatArray
 
@@ -90,7 +89,7 @@ class IdentifiedRobot:
 
 
 def identify_simulated_robot(
-    method: Method, model: RobotLoop | RobotDriveSide, logs: Sequence[Sequence[Record]], filtering: Filtering,
+    method: Method, model: Robot | RobotLoop, logs: Sequence[Sequence[Record]], filtering: Filtering,
     known: Mapping[str, Parameter], progress: Progress,
 ) -> Estimate:  # fmt: skip
     """Identify a robot by DIDIM or drive side, beside `model`'s nominal values.
