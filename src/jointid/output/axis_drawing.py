@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,6 +48,10 @@ def axis_figure(estimate: Estimate) -> Figure:
         spring = {"damping", *(one.name for one in joint.spring.parameters)}
         motor = [row for row in rows if row.name.startswith("motor_") or row.name == "offset"]
         middle = [row for row in rows if row.name in spring]
+        for row in [one for one in middle if one.unit == "N/m" and "±" in str(one) and (one.value or 0.0) >= 1e6]:
+            value, *std = (1e-6 * (one or 0.0) for one in (row.value, row.stderr, row.lack_of_fit))
+            catalogued = replace(row, unit="N/µm", value=value, stderr=std[0], lack_of_fit=std[1])
+            middle.insert(middle.index(row) + 1, catalogued)
         columns = [("motor", motor), ("", middle), ("load", [row for row in rows if row not in (*motor, *middle)])]
     gear, across = joint.transmission, _ACROSS // len(columns)  # values beside each other
     left, wide = _LEFT + (0.0 if gear is None else _GEAR), across * _COLUMN

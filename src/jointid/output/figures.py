@@ -42,7 +42,6 @@ _MODES = {
 _POINTS = 4_000  # of a cloud
 _CELLS = 40  # of the mean over velocity or position
 _LEAST_CELLS, _PER_CELL = 6, 20  # likewise, where there are few samples; and samples of each
-_SPARSE = 1_500  # points: a cloud of fewer has larger ones
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 _ZOOM = 0.08  # of the record, in the first panel
 _MOVES = 0.02  # of the largest speed: slower than that has no direction
@@ -176,12 +175,15 @@ def torque_figure(axes: Sequence[AxisSignals], title: str = "") -> Figure:
     A single axis also has panels of its liveliest part and its motion.
     """
     if len(axes) > 1:
-        figure, drawn = panels((180,) * len(axes), 2, title=title)
+        figure, drawn = panels((170,) * len(axes), min(len(axes), 3), title=title)
         for place, axis in zip(drawn, axes, strict=True):
             draw_torque(place, axis)
             draw_error(place, axis)
-            place.set_title(f"{axis.name}, {100 * axis.relative_error:.3g} % left")
-        for place in drawn[-2:]:
+            place.set(title=f"{axis.name}, {100 * axis.relative_error:.3g} % left", ylabel=f"[{axis.unit}]")
+        figure.legend(*drawn[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        for line in [line for place in drawn for line in place.lines]:
+            line.set_label("")  # one legend for all
+        for place in drawn[-3:]:
             place.set_xlabel("time [s]")
         return figure
     (axis,) = axes
@@ -234,9 +236,9 @@ def cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray
         error: (samples,).
         of: masks of the samples with a mean of their own, (samples,), by label.
     """
-    size, every = 3.0 if x.size < _SPARSE else 1.0, max(-(-x.size // _POINTS), 1)
+    every = max(-(-x.size // _POINTS), 1)
     axes.plot(
-        x[::every], error[::every], ".", color="#888888", markersize=1.5 * size, alpha=0.35, markeredgewidth=0,
+        x[::every], error[::every], ".", color="#888888", markersize=2.0, alpha=0.35, markeredgewidth=0,
         rasterized=True,
     )  # fmt: skip
     cells = min(max(x.size // _PER_CELL, _LEAST_CELLS), _CELLS)
@@ -254,30 +256,26 @@ def cloud(axes: Axes, x: FloatArray, error: FloatArray, of: Mapping[str, NDArray
 
 @styled
 def spectra_figure(axes: Sequence[AxisSignals], cutoff: float | None, modes: Mapping[str, float]) -> Figure:
-    """Draw spectra of each axis, with the filter's cut-off and modes."""
-    figure, drawn = panels([360 if len(axes) == 1 else 230] * len(axes), min(len(axes), 2))
-    for place, axis in zip(drawn, axes, strict=True):
-        spectra(place, axis, _BEYOND * (cutoff or math.inf) if len(axes) > 1 else math.inf)
-        marked = mark_modes(place, modes)
-        if cutoff is not None:
-            mark(place, cutoff, f"fitted up to {cutoff:.3g} Hz", marked, dotted=True)
-    return figure
-
-
-def spectra(axes: Axes, axis: AxisSignals, highest: float = math.inf) -> None:
-    """Draw amplitude spectra of the compared samples, up to `highest` (Hz).
+    """Draw amplitude spectra of the compared samples, with the filter's cut-off and modes.
 
     Raises:
         RecordError: the record is too short.
     """
-    inside = np.flatnonzero(axis.compared)
-    part = slice(inside[0], inside[-1] + 1) if inside.size else slice(0)
-    found = estimate_spectra(axis.measured[part], axis.predicted[part], axis.time[1] - axis.time[0])
-    frequency, measured, predicted, error = (one[found[0] <= highest] for one in found)
-    _compare(axes, axis, frequency, measured, predicted)
-    axes.plot(frequency, error, color=ERROR, linewidth=0.7, label="error")
-    words = f"{axis.name or axis.quantity}{axis.side} [{axis.unit}/√Hz]"
-    axes.set(xlabel=_FREQUENCY, ylabel=words, xscale="log", yscale="log")
+    figure, drawn = panels([360 if len(axes) == 1 else 230] * len(axes), min(len(axes), 2))
+    highest = _BEYOND * (cutoff or math.inf) if len(axes) > 1 else math.inf
+    for place, axis in zip(drawn, axes, strict=True):
+        inside = np.flatnonzero(axis.compared)
+        part = slice(inside[0], inside[-1] + 1) if inside.size else slice(0)
+        found = estimate_spectra(axis.measured[part], axis.predicted[part], axis.time[1] - axis.time[0])
+        frequency, measured, predicted, error = (one[found[0] <= highest] for one in found)
+        _compare(place, axis, frequency, measured, predicted)
+        place.plot(frequency, error, color=ERROR, linewidth=0.7, label="error")
+        words = f"{axis.name or axis.quantity}{axis.side} [{axis.unit}/√Hz]"
+        place.set(xlabel=_FREQUENCY, ylabel=words, xscale="log", yscale="log")
+        marked = mark_modes(place, modes)
+        if cutoff is not None:
+            mark(place, cutoff, f"fitted up to {cutoff:.3g} Hz", marked, dotted=True)
+    return figure
 
 
 def mark_modes(axes: Axes, modes: Mapping[str, float]) -> int:
@@ -361,8 +359,8 @@ class Plots:
         Raises:
             RecordError: the record is too short.
         """
-        cutoff = self.estimate.settings.filtering.cutoff
-        return spectra_figure([AxisSignals.of(self.estimate)], cutoff, self.estimate.frequencies)
+        signals, filtering = [AxisSignals.of(self.estimate)], self.estimate.settings.filtering
+        return spectra_figure(signals, filtering.cutoff, self.estimate.frequencies)
 
     def response(self) -> Figure:
         """Return the frequency response of the joint.

@@ -13,7 +13,6 @@ import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.apps.cli.demo import FIRST_DAY, _write_robot
 from jointid.config import File, load
-from jointid.output.report import tune_to_limit
 from jointid.paper.twin import TABLE_2
 from jointid.records.formats import Table, write_table
 from tests.joint_files import EXAMPLE as EMPS
@@ -178,15 +177,6 @@ def test_every_command_is_documented(capsys: pytest.CaptureFixture[str]) -> None
     assert {*re.findall(r"^## `jointid ([a-z-]+)", page, re.MULTILINE)} == {one for one in app if one[0] != "-"}
 
 
-@pytest.mark.parametrize("raised", [ji.MethodError, ji.RecordError, np.linalg.LinAlgError])
-def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ji, "tune", Mock(side_effect=raised("by design")))
-    estimate = Mock(**{"settings.loop.controller.limit": 1.0, "answer.trust.code": "reliable"})
-    assert "by design" in str(tune_to_limit(estimate))
-    estimate.answer.trust.code = "not_reliable_yet"
-    assert "relied" in str(tune_to_limit(estimate))
-
-
 @pytest.mark.slow
 def test_a_robot_is_identified_from_torques_alone_beside_its_truth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -218,7 +208,7 @@ def test_a_joint_without_gains_falls_and_that_is_said(tmp_path: Path) -> None:
         assert run("simulate", joint, "--json", found) == 0
         answer = json.loads(found.read_text(encoding="utf-8"))
         assert answer["schema"] == "jointid.Simulation/2" and answer["outcome"] == "finished"
-        strays.append(list(answer["strays"]))
+        strays.append(list(answer["tracking_errors"]))
     assert strays == [[], ["elbow"]]
 
 

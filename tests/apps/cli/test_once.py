@@ -12,6 +12,7 @@ import pytest
 
 import jointid as ji
 import jointid.diagnostics.identify as verb
+from jointid.config import File
 from jointid.output import json as answers
 from tests.rigid_axis import recorded, run, write_axis
 
@@ -83,6 +84,9 @@ def test_what_changes_the_answer_searches_again(
         for _ in range(2):
             assert run(*words) == 0
             assert len(searches) == count
+    assert run(*words, "--window", "9") == 2
+    monkeypatch.setattr(File, "identify", None)
+    assert run(*words, "--window", "9") == 2, "a refusal of windows is kept, too"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process can send itself these signals")

@@ -173,6 +173,8 @@ def test_by_keyboard_alone(visit: Visit) -> None:
     tab_to(visit, 'form[action$="/joint"] button.primary')
     keys.press("Enter")
     page.wait_for_selector(".fault:visible")
+    page.go_back()
+    page.go_forward()
     page.wait_for_selector("[name='controller.position_gain']:focus")  # the focus is at the fault
     keys.press("Control+A")
     keys.type("160.18")

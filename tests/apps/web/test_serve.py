@@ -25,6 +25,7 @@ def test_a_port_or_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert run("serve", "--port", taken.getsockname()[1], "--folder", tmp_path / "page") == 2
+    assert (tmp_path / "page").stat().st_mode & 0o777 == 0o700, "its owner's alone"
     assert run("serve", "--port", 99999, "--folder", tmp_path / "page") == 2
     assert run("serve", "--folder", tmp_path / "file" / "page") == 2
 
@@ -33,14 +34,6 @@ def test_a_second_page_in_a_folder_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "_lock").open("a") as held:
         assert lock(held.fileno())
         assert run("serve", "--port", 0, "--folder", tmp_path) == 2
-
-
-def test_the_folder_is_its_owners_alone(tmp_path: Path) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        run("serve", "--port", taken.getsockname()[1], "--folder", tmp_path / "page")
-    assert (tmp_path / "page").stat().st_mode & 0o777 == 0o700
 
 
 def test_the_address_holds_a_token_that_is_new_at_each_start(

@@ -6,6 +6,7 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from jointid.common.charts import mark, panels, styled, svg
 from jointid.diagnostics.analysis import compute_response, estimate_spectra
 from jointid.output.axis_drawing import axis_figure
 from jointid.output.figures import response_figure
-from jointid.output.report import Report, repetition
+from jointid.output.report import Report, _tune, repetition
 from jointid.simulation.start import INITIAL
 from tests.browser import opened
 from tests.estimates import amended
@@ -73,6 +74,15 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
     assert len(hashes) == 3 and "--record run.csv" in one.command and "--record" not in both.command
 
 
+@pytest.mark.parametrize("raised", [ji.MethodError, ji.RecordError, np.linalg.LinAlgError])
+def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ji, "tune", Mock(side_effect=raised("by design")))
+    estimate, record = reports.rigid().estimate, reports.rigid_record()[0]
+    assert Report.of(estimate, record, profiles=[], tuning=True).absent == {"tuned": "by design"}
+    with pytest.raises(ji.MethodError, match="relied"):
+        _tune(Mock(**{"answer.trust.code": "not_reliable_yet"}))
+
+
 def test_the_three_frequencies_are_marked() -> None:
     told = reports.flexible()
     expected = ji.FlexibleJoint.frequencies(told.estimate.values)
@@ -104,9 +114,10 @@ def test_the_emps_report_is_one_small_file(emps_path: Path, tmp_path: Path) -> N
     assert carried["estimate"]["data"]["fingerprints"][0] in text
 
 
-@pytest.mark.slow
-def test_nothing_is_loaded_from_elsewhere(rigid_page: str) -> None:
+def test_nothing_is_loaded_from_elsewhere_and_ids_are_unique(rigid_page: str) -> None:
     elements = Elements(rigid_page)
+    ids = [attributes["id"] for _, attributes in elements.found if "id" in attributes]
+    assert len(ids) == len(set(ids)) and set(re.findall(r'(?:url\(|href=")#(\w[^")]*)', rigid_page)) <= set(ids)
     for tag, attributes in elements.found:
         for name in ("src", "href", "xlink:href"):
             assert (attributes.get(name) or "#").startswith(("#", "data:")), (tag, attributes)
@@ -134,12 +145,6 @@ def test_a_chart_makes_no_element_of_a_name() -> None:
     friendly, hostile, _ = (Elements(svg(one, "x").decode()).tags for one in figures)
     assert set(hostile) == set(friendly)
     assert hostile.count("text") == friendly.count("text")
-
-
-def test_no_two_elements_of_a_page_have_one_id(rigid_page: str) -> None:
-    ids = [attributes["id"] for _, attributes in Elements(rigid_page).found if "id" in attributes]
-    assert len(ids) == len(set(ids))
-    assert set(re.findall(r'(?:url\(|href=")#(\w[^")]*)', rigid_page)) <= set(ids)
 
 
 @pytest.mark.slow
@@ -201,12 +206,14 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     assert np.ptp(told.figures["torque"].axes[0].lines[0].get_ydata()) > 0
 
 
-def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
+def test_a_robot_begins_with_its_joints() -> None:
     records = records_of(arm(3), 2, noise=0.2)
-    for axes in Report.of(identified(arm(3), records), records).figures["torque"].axes:
-        for line in axes.lines:
-            hidden = np.isnan(np.asarray(line.get_ydata()))
-            assert 0 < np.mean(hidden) < 0.5
+    report = Report.of(identified(arm(3), records), records)
+    first, _, appendix = reports.marked(report).partition("## Appendix")
+    assert "| joint3 |" in first and "| Izz1 |" in appendix
+    assert not re.search(r"\b(I[xyz]{2}|m[xyz]|F[cv])\d", first)  # the inertial parameters
+    for line in [line for axes in report.figures["torque"].axes for line in axes.lines]:
+        assert 0 < np.mean(np.isnan(np.asarray(line.get_ydata()))) < 0.5, "it breaks where nothing is compared"
 
 
 def texts(estimate: ji.Estimate) -> list[str]:
@@ -221,6 +228,9 @@ def test_every_value_is_in_the_drawing_and_none_is_cut(kind: str) -> None:
     for row in shown:
         assert str(row) in texts(estimate), row.name
     assert {"motor", "load"} <= {*texts(estimate)} if kind == "flexible" else "motor" not in texts(estimate)
+    stiff = {"value": 4.05e7, "stderr": 2.2e6, "lack_of_fit": 0.0}
+    estimate = replace(estimate, rows=[replace(p, **stiff) if p.name == "stiffness" else p for p in estimate.rows])
+    assert ({"stiffness, N/µm", "40.5 ± 4.4"} <= {*texts(estimate)}) == (kind == "flexible")
     figure = axis_figure(estimate)
     figure.draw_without_rendering()
     width, height = figure.get_size_inches() * figure.dpi

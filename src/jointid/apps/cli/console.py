@@ -214,11 +214,12 @@ class Options:
                 found = file.identify(record, progress, checks=checks and not apart, windows=window)
             store(found)
         except JointidError as error:
-            if record is None or window is not None or file.robot is not None:
-                raise
-            told = explain_failure(error, record, file.loop, progress, getattr(file.method, "free", ()))
-            store(None, refused=str(told), code=told.code)
-            raise told from error
+            alone = record is not None and window is None and file.robot is None
+            if alone:
+                error = explain_failure(error, record, file.loop, progress, getattr(file.method, "free", ()))
+            if alone or type(error) is MethodError:  # others are of the record, and found before the search
+                store(None, refused=str(error), code=error.code)
+            raise error
         if checks and LATER in [one.values for one in found.checks]:
             if not self.quiet:
                 tell(f"before its checks, which may change this answer: {found.sentence}")
@@ -315,16 +316,16 @@ def listen(quiet: bool) -> Progress:
         return tell
     if sys.stderr.isatty():
         return _bars()
-    stage, told = "", time.monotonic()
+    stage, printed = "", time.monotonic()
 
     def tell_stage(message: str) -> None:
-        nonlocal stage, told
-        begun, now = message.brief if isinstance(message, Detail) else message, time.monotonic()
-        if begun and begun != stage:
-            stage, told = begun, now
-            tell(begun)
-        elif isinstance(message, Detail) and message.pace and now - told >= _BETWEEN:
-            told = now
+        nonlocal stage, printed
+        brief, now = message.brief if isinstance(message, Detail) else message, time.monotonic()
+        if brief and brief != stage:
+            stage, printed = brief, now
+            tell(brief)
+        elif isinstance(message, Detail) and message.pace and now - printed >= _BETWEEN:
+            printed = now
             tell(message)
 
     return tell_stage

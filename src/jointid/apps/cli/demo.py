@@ -17,8 +17,6 @@ from jointid.common.files import explain, require_room, write_whole
 from jointid.common.messages import Progress
 
 if TYPE_CHECKING:
-    from jointid import Record
-    from jointid.models.robots.robot import RobotLoop
     from jointid.robots import Robot
 
 CAMPAIGN = """\
@@ -102,42 +100,35 @@ def _write_axis(folder: Path) -> tuple[str, Mapping[str, float]]:
 
 
 def _write_robot(folder: Path) -> tuple[str, Robot]:
-    """Write a robot's record, file and model; return name and robot."""
+    """Write a robot's file and model, and records of a heavier one with friction; return name and robot."""
+    import numpy as np
+
+    from jointid import Channel, Record, excitation, simulate
     from jointid.config import load
+    from jointid.robots import JointSpring
 
     for name in ("robot.toml", "robot.xml"):
         write_whole(folder / name, files("jointid.apps.cli").joinpath("demo_robot", name).read_text("utf-8"))
     file = load(folder / "robot.toml")
-    robot, records = _simulate_robot(file.loop)
-    file.write(records, folder / "record.csv")
-    return "robot.toml", robot
-
-
-def _simulate_robot(loop: RobotLoop) -> tuple[Robot, tuple[Record, ...]]:
-    """Return a heavier robot with friction, and its records."""
-    import numpy as np
-
-    from jointid import Channel, Record, excitation, simulate
-    from jointid.robots import JointSpring
-
-    links = tuple(replace(link, inertial=1.1 * link.inertial) for link in loop.robot.links)
-    shoulder, elbow = loop.robot.joints
+    links = tuple(replace(link, inertial=1.1 * link.inertial) for link in file.loop.robot.links)
+    shoulder, elbow = file.loop.robot.joints
     spring = JointSpring(stiffness=2560.0, damping=2.7, viscous=1.2, coulomb=1.2)
     shoulder = replace(shoulder, rotor_inertia=0.8, viscous=1.8, coulomb=2.8, spring=spring)
     elbow = replace(elbow, rotor_inertia=0.3, viscous=1.2, coulomb=1.5)
-    robot = replace(loop.robot, links=links, joints=(shoulder, elbow))
-    motions = ((0.9, 0.25, 24), (1.2, 0.375, 19))  # rad, Hz of the slowest sine, sines up to beyond the mode
+    robot = replace(file.loop.robot, links=links, joints=(shoulder, elbow))
+    motions = ((0.9, 0.25, 24), (1.2, 0.375, 19))  # rad, Hz of the slowest sine, number of sines, up to above the mode
     driven = [
         Record(reference=Channel(excitation.multisine(8000, 1e-3, size, f, 35.0, lines=n, tilt=1.6), "rad", 1e-3))
         for size, f, n in motions
     ]
     draw, logged = np.random.default_rng(1), []
-    for record in simulate(replace(loop, robot=robot), driven).records(driven):
+    for record in simulate(replace(file.loop, robot=robot), driven).records(driven):
         assert record.torque is not None
         values = record.torque.values
         noisy = values + 0.02 * np.std(values) * draw.standard_normal(values.size)
         logged.append(replace(record, torque=replace(record.torque, values=noisy), motor_position=None))
-    return robot, tuple(logged)
+    file.write(logged, folder / "record.csv")
+    return "robot.toml", robot
 
 
 def _write_fleet(folder: Path) -> str:

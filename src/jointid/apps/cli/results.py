@@ -34,7 +34,7 @@ def report(
     """
     from jointid import Report, figures
     from jointid import validate as validate_estimate
-    from jointid.output.report import repetition, tune_to_limit
+    from jointid.output.report import repetition
     from jointid.output.report.sections import PAGES
 
     figures.require_format(html, PAGES)
@@ -47,11 +47,8 @@ def report(
     checks = [] if unseen is None else [validate_estimate(found, unseen)]
     stated = Report.of(
         found, record, checks, name=file.name or "", profiles=() if no_profiles else None,
-        controllers=file.controllers, repetition=again, progress=options.progress,
+        tuning=not no_tuning, controllers=file.controllers, repetition=again, progress=options.progress,
     )  # fmt: skip
-    tuned = None if no_tuning else tune_to_limit(found)
-    why = {"tuning": tuned} if isinstance(tuned, str) else {}
-    stated = replace(stated, absent={**stated.absent, **why}, tuned=None if isinstance(tuned, str) else tuned)
     for one in (found, *checks):
         show_result(one)
     stated.save(html)

@@ -178,7 +178,7 @@ def _simulate_robot(file: File, estimate: Estimate | None, options: Options) -> 
             f"{robot.names[k]} does not follow its reference: it gets {off:.3g} {robot.position_unit(k)} off it; check "
             "its controller's gains and limit, and its signs."
         )
-    stated = {"joints": robot.names, "strays": {robot.names[k]: off for k, off in astray.items()}}
+    stated = {"joints": robot.names, "tracking_errors": {robot.names[k]: off for k, off in astray.items()}}
     return found, found.records(driven), simulation_answer(found, robot.name, stated)
 
 

@@ -155,7 +155,7 @@ async def work(place: Path, seconds: int, out: str, *words: str) -> None:
         PageError: it was refused, with its own sentences, failed, or, on Linux, exceeded memory or processor time.
     """
     with (place / "_progress.txt").open("ab") as progress, (place / out).open("wb") as answer:
-        begun = progress.tell()
+        start = progress.tell()
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "jointid.apps.web.worker", str(MEMORY), str(seconds), *words),
             stdin=PIPE,  # closed when the page ends, which ends the worker
@@ -170,7 +170,7 @@ async def work(place: Path, seconds: int, out: str, *words: str) -> None:
         if process.returncode is None:
             process.kill()
             await process.wait()
-    said = (place / "_progress.txt").read_bytes()[begun:].decode("utf-8", "replace")
+    said = (place / "_progress.txt").read_bytes()[start:].decode("utf-8", "replace")
     if code < 0 or (code and "MemoryError" in said):
         raise PageError(
             f"It takes more memory than this page gives one run or {seconds} s of processor, or was ended outside; "

@@ -75,6 +75,7 @@ class Page:
         root: first part of every address, with the token.
         jobs: the running identification.
         files: lock of requests that replace or read the record.
+        refused: the step that was refused, and why, until the next form arrives.
     """
 
     def __init__(self, path: Path, token: str) -> None:
@@ -82,6 +83,7 @@ class Page:
         self.root = f"/{token}"
         self.jobs = Jobs()
         self.files = asyncio.Lock()
+        self.refused: dict[str, Exception | None] = {}
 
     @property
     def now(self) -> Draft:
@@ -116,7 +118,7 @@ class Page:
         write_whole(run.path / run.file, text)
         return run
 
-    def show(self, step: str, refusal: Exception | None = None) -> Response:
+    def show(self, step: str) -> Response:
         """Render a step's form with faults; step 1 without a record."""
         now, columns = self.now, self.now.json("_columns.json")
         number = {"channels": 2, "joint": 3}.get(step, 1) if columns and now.records else 1
@@ -124,7 +126,8 @@ class Page:
         sections = [form.Section("Read a text file in another way", form.TEXT, folded=True)]
         if number > 1:
             sections = [*(form.ROBOT if now.robot else forms[number](now.texts))]
-        faults = form.place_faults(refusal, {one.key: one for section in sections for one in section.fields})
+        shown = {one.key: one for section in sections for one in section.fields}
+        faults = form.place_faults(self.refused.get(step), shown)
         return self.render(
             "form" if number > 1 else "record", 422 if faults else 200, step=number, sections=sections,
             texts=now.texts, faults=faults, suffixes=_SUFFIXES, bound=folder.UPLOAD, columns=columns,
@@ -143,8 +146,9 @@ class Page:
         made.filters["by_field"] = lambda words: form.name_fields(words, {} if now.robot else form.fields_of(now.texts))
         return HTMLResponse(made.get_template(f"{template}.html").render(common | values), code)
 
-    def redirect(self, path: str) -> Response:
-        """Redirect the browser to another address of the page, such as "/channels"."""
+    def redirect(self, path: str, refusal: Exception | None = None) -> Response:
+        """Redirect the browser to another address, such as "/channels", which shows a refusal."""
+        self.refused = {path[1:]: refusal}
         return RedirectResponse(f"{self.root}{path}", 303)
 
 
@@ -160,19 +164,21 @@ async def show_step(request: Request) -> Response:
 
 
 async def refuse(request: Request, error: Exception) -> Response:
-    """Show a refused step, with the reasons beside its fields."""
+    """Redirect to a refused step with the reasons beside its fields; a browser may come back to it."""
     if isinstance(error, OSError) and error.errno != errno.ENOSPC:
         raise error
     if isinstance(error, RecursionError):
         error = PageError("The joint file nests lists or tables too deeply; no key of it needs that.")
-    return _page(request).show(request.url.path.rpartition("/")[2], error)
+    step = request.url.path.rpartition("/")[2]
+    return _page(request).redirect(f"/{step if step in ('channels', 'joint') else ''}", error)
 
 
 async def _save(request: Request) -> Draft:
     """Store the entries of a form."""
-    entries, now = await _receive(request, _FORM, None), _page(request).now
-    now.enter(now.texts | entries)
-    return now
+    entries, page = await _receive(request, _FORM, None), _page(request)
+    page.now.enter(page.now.texts | entries)
+    page.refused = {}
+    return page.now
 
 
 async def take_record(request: Request) -> Response:

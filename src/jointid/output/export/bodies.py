@@ -31,7 +31,7 @@ from jointid.output.export.joint_model import JointModel, PDLaw, comments, numbe
 
 _GRAVITY = 9.81  # along -z, m/s2; what a link weighs does not depend on it, see `solid_of`
 _AXES = {"revolute": np.array([0.0, -1.0, 0.0]), "prismatic": np.array([1.0, 0.0, 0.0])}
-_GYRATION = 0.1  # m, of a body whose mass nothing tells
+_GYRATION = 0.1  # m, of a body of unknown mass
 _ROUND = 1e-4  # of a mass, in m2: inertias of a body that does not turn
 _MOST_NAMES = 4
 

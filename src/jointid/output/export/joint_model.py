@@ -257,7 +257,7 @@ class JointModel:
         return replace(self, kind=kind, side=side, parameters=parameters, gravity=gravity, law=law)
 
     def lost(self, *holds: str) -> list[str]:
-        """Sentences on parts, beyond inertia and viscous friction, absent in a language."""
+        """Sentences on parts other than inertia and viscous friction, absent in a language."""
         joint, masses, (steady, _, _, rate) = self.joint, self.masses, self.weight
         found: list[tuple[str, object, str]] = []  # what it is, whether the joint has it, and the loss
         if isinstance(joint, FlexibleJoint):

@@ -31,7 +31,7 @@ from jointid.tuning.tune import Tuned
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]
+__all__ = ["Repetition", "Report", "repetition"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -74,7 +74,7 @@ class Report:
         *,
         name: str = "",
         profiles: Sequence[str] | None = None,
-        tuned: Tuned | None = None,
+        tuning: bool = False,
         controllers: Sequence[Controller | None] = (),
         repetition: Repetition | None = None,
         progress: Progress = ignore_progress,
@@ -88,13 +88,13 @@ class Report:
             name: of the joint, for the title.
             profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None,
                 the stiffness and the compliance of a flexible joint. Of DIDIM only.
-            tuned: margins and gains of the drive from `tune`, which then have a section.
+            tuning: whether to add margins and gains by `tune`, of a controller with a limit.
             controllers: of each joint of a robot, see `diagnose`.
             repetition: data to repeat it, if the files are known.
             progress: receives each step.
 
         Raises:
-            MethodError: `tuned` or profiles are given for a robot, or the record was identified in windows.
+            MethodError: profiles are given for a robot, or the record was identified in windows.
 
         Example:
             >>> import jointid as ji
@@ -109,8 +109,8 @@ class Report:
         if estimate.data.windows is not None:
             raise MethodError(IN_WINDOWS)
         if not isinstance(record, Record):
-            if tuned is not None or profiles:
-                raise MethodError("The report of a robot has no profiles and no tuning; leave them out.")
+            if profiles:
+                raise MethodError("The report of a robot has no profiles; leave them out.")
             return cls(estimate, diagnose_robot(estimate, record, controllers), tuple(checks), name, again)
         flexible = estimate.settings.joint.model == "flexible" and estimate["stiffness"].free
         asked = (["stiffness", "compliance"] if flexible else []) if profiles is None else profiles
@@ -119,16 +119,17 @@ class Report:
             "response": lambda: compute_response(estimate),
             "profiles": lambda: intervals(estimate, record, asked),
         }
+        if tuning and math.isfinite(getattr(getattr(estimate.settings.loop, "controller", None), "limit", math.inf)):
+            parts["tuned"] = lambda: _tune(estimate)
         found, absent, checked = dict[str, Any](), dict[str, str](), cast("Diagnosis | None", estimate.diagnosis)
         for part, compute in parts.items():
             progress(f"collecting the report: {part}")
             try:
                 found[part] = compute()
-            except JointidError as error:
+            except (JointidError, LinAlgError) as error:  # a refused parameter, say: the report is written all the same
                 absent[part] = str(error)
-        return cls(
-            estimate, checked, tuple(checks), name, again, tuned, dict(record.items()), absent=absent, **found
-        )  # fmt: skip
+        channels = dict(record.items())
+        return cls(estimate, checked, tuple(checks), name, again, channels=channels, absent=absent, **found)
 
     @property
     def figures(self) -> dict[str, Figure]:
@@ -176,16 +177,10 @@ class Report:
         return path
 
 
-def tune_to_limit(estimate: Estimate) -> Tuned | str | None:
-    """Tune a loop with declared limit; else a reason, or None."""
+def _tune(estimate: Estimate) -> Tuned:
+    """Tune a loop by values that can be relied on."""
     from jointid import tune
 
-    loop = estimate.settings.loop
-    if loop is None or not math.isfinite(getattr(loop.controller, "limit", math.inf)):
-        return None
     if estimate.answer.trust.code == Trust.NOT_YET:
-        return "Margins and gains follow from values that are not to be relied on yet; correct what the result names."
-    try:
-        return tune(estimate)
-    except (JointidError, LinAlgError) as error:  # a refused parameter, say: the report is written all the same
-        return str(error)
+        raise MethodError("Margins and gains need values that can be relied on; correct what the result names.")
+    return tune(estimate)

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from jointid.output.report import Report
 
 PAGES = (".html", ".htm")
-_FEW = 4  # headings: a shorter page needs no list of contents
 
 
 def page(document: Document) -> str:
@@ -53,7 +52,7 @@ def page(document: Document) -> str:
     return templates(Path(__file__).parent).get_template("page.html").render(
         title=document.title,
         blocks=[(block, anchors.get(place, "")) for place, block in enumerate(document.blocks)],
-        contents=contents if len(contents) >= _FEW else [],
+        contents=contents,
         answer=document.answer,
         element=REPORT_ELEMENT,
     )  # fmt: skip
@@ -123,15 +122,15 @@ def repetition(
         logged = "an actual value" if torque.get("tap") == "measured" else "a setpoint"
         drive["torque"] = f"{logged} as declared (no record shows it behind a fast current loop)"
     stated = {"Controller": tables.get("controller", {}), "Drive": tables.get("drive", {}) | drive}
-    told = {name: _say(table)[1:-1] for name, table in stated.items() if table}
-    return Repetition(__version__, names, date, digest(*records), joint.name, text, command, told)
+    shown = {name: _say(table)[1:-1] for name, table in stated.items() if table}
+    return Repetition(__version__, names, date, digest(*records), joint.name, text, command, shown)
 
 
 def _say(declared: Any) -> str:
     """Write what a file declares in words, of a filter its kind and numbers."""
     if type(declared) is dict:
-        told = (f"{in_words(key)} {_say(one)}".removeprefix("kind ") for key, one in declared.items())
-        return f"({', '.join(told)})"
+        shown = (f"{in_words(key)} {_say(one)}".removeprefix("kind ") for key, one in declared.items())
+        return f"({', '.join(shown)})"
     return " and ".join(map(_say, declared)) if type(declared) is list else str(declared).replace("_", " ")
 
 
@@ -179,9 +178,11 @@ def report_blocks(given: Report, figures: Mapping[str, Figure]) -> Iterator[Bloc
     if given.diagnosis is not None and given.diagnosis.sentences:
         yield from (Text("What to do", "heading"), Text("\n".join(given.diagnosis.sentences), "list"))
     torque = Text("Torque", "heading"), _picture(given, figures, "torque")
-    yield from torque if estimate.robot is not None else ()  # whose joints are seen first
-    yield Text("Parameters", "heading")
-    yield from [*_part(estimate)][:-1]  # the last block has hints of the command
+    if estimate.robot is None:
+        yield Text("Parameters", "heading")
+        yield from [*_part(estimate)][:-1]  # the last block has hints of the command
+    else:  # the joints first; the inertial parameters are in the appendix
+        yield from (*torque, Text("Joints", "heading"), next(_part(estimate)))
     if tuned is not None:
         yield Text("Tuning", "heading")
         yield Text(tuned.sentence)
@@ -226,14 +227,13 @@ def draw_figures(given: Report) -> dict[str, Figure]:
     every: dict[str, Callable[[], Figure]] = {
         "torque": lambda: charts.torque_figure(axes),
         "residual": lambda: charts.residual_figure(axes),
-        "spectra": lambda: charts.spectra_figure(axes, cutoff, {} if estimate.robot else estimate.frequencies),
+        "spectra": lambda: charts.spectra_figure(axes, cutoff, estimate.frequencies),
+        "profiles": lambda: charts.profiles_figure(estimate, given.profiles),
     }
-    if estimate.robot is None:
-        every["profiles"] = lambda: charts.profiles_figure(estimate, given.profiles)
-        if given.response is not None:
-            every["response"] = partial(charts.response_figure, estimate, given.response)
-        if given.tuned is not None:
-            every["tuning"] = given.tuned.plot
+    if given.response is not None:
+        every["response"] = partial(charts.response_figure, estimate, given.response)
+    if given.tuned is not None:
+        every["tuning"] = given.tuned.plot
     found: dict[str, Figure] = {}
     for name, draw in every.items():
         with contextlib.suppress(RecordError):
