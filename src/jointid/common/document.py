@@ -31,7 +31,7 @@ _RULE = "    \n    \n----\n    \n    \n    \n    \n    \n"  # a line below the h
 
 
 Style: TypeAlias = Literal["", "good", "bad", "open", "heading", "part", "list", "code"]
-"""Plain, or begun by good, bad or open news; a heading, or that of a part; a list of lines; or verbatim."""
+"""Plain; good, bad or open for a coloured paragraph; a heading, or that of a part; a list of lines; or verbatim."""
 
 
 @dataclass(frozen=True, slots=True)

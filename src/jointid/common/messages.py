@@ -55,13 +55,13 @@ def pace(progress: Progress, what: str, total: float, unit: str) -> Callable[[fl
         total: infinite if unknown.
         unit: of the total, such as "draws" or "%".
     """
-    told = time.monotonic()
+    printed = time.monotonic()
     whole = "" if math.isinf(total) or unit == "%" else f" of {total:.0f}"
 
     def reach(done: float) -> None:
-        nonlocal told
-        if time.monotonic() - told >= 1.0:  # seconds between two lines on a piece of work
-            told = time.monotonic()
+        nonlocal printed
+        if time.monotonic() - printed >= 1.0:  # seconds between two lines on a piece of work
+            printed = time.monotonic()
             progress(Detail(f"{what}: {done:.0f}{whole} {unit}", pace=True))
 
     return reach

@@ -292,7 +292,7 @@ _ROBOT_JOINT = Table(
 
 def _require_angles(base: tuple[float, ...]) -> None:
     if any(abs(angle) > _TURN for angle in base):
-        raise JointFileError(f"an angle is beyond a turn in {list(base)}; expected rad: convert the degrees.")
+        raise JointFileError(f"an angle exceeds a turn in {list(base)}; expected rad: convert the degrees.")
 
 
 _OF_ROBOT = (

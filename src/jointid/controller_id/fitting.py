@@ -56,7 +56,7 @@ _HELD = 300_000  # samples of which columns are kept for other laws with the sam
 _DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]  # what is below has run to the bound
 _LEAD = 64  # samples of straight motion before the first, in which the filters settle
 _ROUNDING = 1e-14  # of the reference
-_SLOPE = 5  # samples that tell how fast that is
+_SLOPE = 5  # samples that determine that speed
 
 _ERROR, _SPEED, _FED, _FED_FILTERED, _SUM, _COMMAND, _FILTERED, _CHANNEL, _CHANNEL_SUM, *_BESIDE = range(13)
 _VISCOUS, _BENT, _SIGN, _ONE = _BESIDE
@@ -240,9 +240,9 @@ class Fitter:
                 tried.append((self.solve(structure, numbers), numbers))
         if not tried:
             return None
-        begun, numbers = min(tried, key=lambda one: one[0].score(noise))
+        start, numbers = min(tried, key=lambda one: one[0].score(noise))
         if not numbers or not evaluations:
-            return begun
+            return start
         found, *_ = self._search(
             self.solve, structure, numbers, noise, max_nfev=evaluations, ftol=_ENOUGH, diff_step=_STEP
         )

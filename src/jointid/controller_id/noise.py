@@ -42,7 +42,7 @@ _BEYOND = 1.3  # times what is seen of the position's error it may be
 _PAST = 48  # samples of reference and position: a notch of 10 Hz at 1 kHz rings as long
 _BESIDE = 24  # samples of what passes the torque's filter only
 _IMAGES = 3  # samples of what a slower position loop makes of slow signals: near its rate, where it holds nothing
-_LOUDER = 4.0  # times the noise, in power: what is not tells of the noise, not of the law
+_LOUDER = 4.0  # times the noise, in power: the rest shows the noise, not the law
 _ROWS = 4096  # samples whose columns are in memory at a time
 _DEPENDENT = 1e-12  # of the largest singular value: what is below is rounding
 

@@ -349,7 +349,7 @@ def _test_law(found: SolvedLoop, law: OtherLaw, record: Record, start: FloatArra
         x = descend(other, start, TOLERANCE).x
         left = other.residual(x)
     test = found.test_law(law.fault, found.residual - left)
-    if law.fault is suspects.REFERENCE_DELAY and record.injected is None:  # nothing else tells when the torque was
+    if law.fault is suspects.REFERENCE_DELAY and record.injected is None:  # nothing else shows when the torque was
         test = replace(test, alike=(suspects.LOG_DELAY,))
     return LawTest(law, other, x, test, float(found.residual @ found.residual - left @ left))
 

@@ -149,7 +149,7 @@ def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error
     through = frequency_response(problem.joint, values, hertz, "motor_position") * law.feedback(hertz) * late
     response = np.abs(through / (1.0 - through)) ** 2  # of the controller's torque to a force on the motor
     columns = np.column_stack([shapes * response[:, np.newaxis], np.ones(hertz.size)])
-    # A spectrum's deviation is a share of its mean, which the fit tells: by itself it is rough, and in parts negative.
+    # A spectrum's deviation is a share of its mean, from the fit: alone it is rough, and in parts negative.
     fitted, level = np.ones(hertz.size), float(np.mean(power))  # the solver sees numbers about 1
     try:
         for _ in range(_PASSES):

@@ -305,7 +305,7 @@ def state_scale(fit: Estimate, records: Sequence[Record]) -> Estimate:
         return fit
     rows = [row for row in fit.rows if row.of_joint]
     known = [row.name for row in rows if not row.free and row.value and row.unit.startswith(("N", "kg", "A", "V"))]
-    if any(  # large enough beside the controller's output to tell a scale
+    if any(  # large enough beside the controller's output to determine a scale
         record.injected is not None and np.std(record.injected.channel.values) > 0.05 * np.std(torque.values)
         for record, torque, _ in computed
     ):

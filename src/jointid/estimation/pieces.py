@@ -72,7 +72,7 @@ FitWindow: TypeAlias = Callable[[Sequence[Record], bool], Estimate]
 
 # Several records
 
-GAIN = "drive_gain"  # the torque that acts, over the torque in the log; one record cannot tell it
+GAIN = "drive_gain"  # the torque that acts, over the torque in the log; one record does not show it
 
 
 class Layout(NamedTuple):
@@ -382,7 +382,7 @@ def _judge(
     units = {p.name: acting.unit(p) for p in together.parameters}
     if GAIN in units and joint.torque_unit:
         units[GAIN] = f"{acting.force_unit}/{joint.torque_unit}"
-    # The inertia that tells the gain is not compared.
+    # The inertia that determines the gain is not compared.
     tells = _inertia(joint).name if layout.scales and any(layout.added) else ""
     compared = compare_records(alone, {name: unit for name, unit in units.items() if name != tells})
     more = {p.name: p.widening for p in compared.parameters}  # beyond their noise

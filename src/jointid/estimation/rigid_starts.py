@@ -93,7 +93,7 @@ def require_work(problem: ClosedLoopProblem) -> None:
     """Refuse a torque that takes most of the energy exchanged along its motion."""
     try:
         torque, position = _turn_round(problem)
-    except MethodError:  # a controller that cannot be turned round tells no motion
+    except MethodError:  # a controller without an inverse gives no motion
         return
     # A constant load gives back what lifting it took.
     work = (torque - np.mean(torque)) * np.gradient(position)
@@ -134,7 +134,7 @@ def _regress(
     motion = motion_along(held, positions, filtering, delays)
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
     weights = steady_weights(motion)[1]
-    if np.mean(weights) >= most:  # else what is left tells less than what friction at rest bends
+    if np.mean(weights) >= most:  # else the rest shows less than friction at rest bends
         motion = replace(motion, moving=weights)
     fixed = {p.name: p for p in problem.parameters if not p.free}
     found = solve_rows(inverse.rows([turn(inverse.system, motion)]), "weighted", fixed, turns=_REWEIGHTINGS)

@@ -69,7 +69,7 @@ LITTLE = 0.1  # of the torque: an end that leaves more may be a false minimum
 DAMPED = 0.03  # of critical: springs that a search begins with
 
 _RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
-_SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
+_SWINGS = 30.0  # periods of the rigid start's cut-off in a record: fewer do not determine a joint
 _FASTEST_LOOP = 0.25  # of the controller's frequency: at a lighter joint, which crosses over faster, the loop chatters
 _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
 _LOWERED, _LOWER = 2, 4.0  # how often, and times how much lower a cut-off is tried where no rigid joint is found
@@ -167,7 +167,7 @@ def _find_motion(problem: ClosedLoopProblem, rough: Solved | None) -> dict[str, 
         return rough.values
     steps = np.diff(problem.axis.inputs[:, REFERENCE])
     if abs(steps[0]) > _MOVES * np.max(np.abs(steps)):
-        with contextlib.suppress(MethodError):  # a controller that cannot be turned round tells no motion
+        with contextlib.suppress(MethodError):  # a controller without an inverse gives no motion
             return first_state(problem, reconstructed_position(problem))
     return None
 

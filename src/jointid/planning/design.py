@@ -153,7 +153,7 @@ def _read_times(
         raise MethodError("A test has a duration and a sample time; give both, or the record of an earlier test.")
     samples = math.floor(duration / sample_time + 1e-9)
     if samples < _FEWEST:
-        raise MethodError(f"A test of {samples} samples tells nothing; expected {_FEWEST} or more: plan a longer one.")
+        raise MethodError(f"A test of {samples} samples is too short; expected {_FEWEST} or more: plan a longer one.")
     return samples, sample_time
 
 
@@ -179,7 +179,7 @@ def _design(
     predicted = {} if before is None else {"present": before}
     predicted["proposed"] = next(known.predict(played, RUNS))
     if any(np.any(one != best.stds[0]) for one in best.stds):
-        with np.errstate(invalid="ignore"):  # of what no joint or robot tells
+        with np.errstate(invalid="ignore"):  # of what no joint or robot determines
             factors = np.nan_to_num(np.max(best.stds, axis=0) / best.stds[0], nan=1.0, posinf=np.inf)
         known_one = predicted["proposed"].covariance
         widest = replace(known_one, std=known_one.std * factors)

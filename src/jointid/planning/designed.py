@@ -150,12 +150,12 @@ class Design(Documented):
         if gain is not None and gain >= 0:
             first = "No better test than the present one was found: the best one"
         if self.goal.weights:
-            told = [f"{self._width(proposed)} {self._unit}"]
-            told += [f"{self._width(one)} {self._unit} at worst" for one in [self.tests.get("at worst")] if one]
-            told += [] if present is None else [f"the present one to {self._width(present)} {self._unit}"]
-            return f"{first} tells {self.goal.name.replace('_', ' ')} to {', '.join(told)}"
+            widths = [f"{self._width(proposed)} {self._unit}"]
+            widths += [f"{self._width(one)} {self._unit} at worst" for one in [self.tests.get("at worst")] if one]
+            widths += [] if present is None else [f"the present one to {self._width(present)} {self._unit}"]
+            return f"{first} determines {self.goal.name.replace('_', ' ')} to {', '.join(widths)}"
         known = [name for name, std in proposed.std.items() if std < _KNOWN * abs(proposed.values[name])]
-        stated = f"{first} tells {len(known)} of {len(proposed.joint)} parameters to a tenth"
+        stated = f"{first} determines {len(known)} of {len(proposed.joint)} parameters to a tenth"
         if gain is None:
             return stated
         if not math.isfinite(gain):

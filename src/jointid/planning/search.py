@@ -29,7 +29,7 @@ from jointid.planning.robots import RobotModel
 MARGIN = 0.97
 """Of each limit, that a test may reach in the search: other joints and other noise reach more."""
 ASTRAY = 1e6
-"""Score of a test that cannot be simulated, or does not tell every parameter."""
+"""Score of a test that cannot be simulated, or does not determine every parameter."""
 _CLEARLY = 0.02  # of a score: other joints change it by as much
 _DRAWN = 6  # tests of each family, to begin with
 _FEWEST = 40  # tests that are tried, though the time be over, until one can be simulated

@@ -172,8 +172,8 @@ class Cut:
         rows = np.flatnonzero(kept)
         parts = _find_parts(times[rows]) if self.part is not None else [(0, rows.size)]
         left, (lowest, highest) = int(np.count_nonzero(counted)), (times.min(), times.max())
-        beyond = any(begin > highest or end <= lowest for begin, end in self.leave_out)
-        if beyond or left < 2 or self.part not in (None, *range(len(parts) + 1)):
+        missed = any(begin > highest or end <= lowest for begin, end in self.leave_out)
+        if missed or left < 2 or self.part not in (None, *range(len(parts) + 1)):
             raise RecordError(
                 f"start, stop and leave_out leave {pluralise(left, 'sample')} of {clock or 'the clock'}, which goes "
                 f"from {lowest:.10g} to {highest:.10g} s, with {pluralise(len(parts), 'part')} between jumps; "

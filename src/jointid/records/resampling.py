@@ -171,14 +171,14 @@ def _judge_jitter(signals: Mapping[str, Signal]) -> tuple[Resampling | None, dic
     Channels are resampled only if a position follows the stamps of its clock; other stamps are straightened.
     """
     jittering = [one.clock for one in signals.values() if one.clock.jitter]
-    told = dict[str, bool]()
+    late = dict[str, bool]()
     for one in (signals[name] for name in POSITIONS if name in signals):
         if one.clock.jitter and (follows := _follows_stamps(one)) is not None:
-            told[one.clock.column] = follows or told.get(one.clock.column, False)
-    resampled = any(told.values())
+            late[one.clock.column] = follows or late.get(one.clock.column, False)
+    resampled = any(late.values())
     straight = dict(signals)
     for name, one in signals.items():
-        if one.clock.jitter and not told.get(one.clock.column, resampled):
+        if one.clock.jitter and not late.get(one.clock.column, resampled):
             straight[name] = replace(
                 one, clock=replace(one.clock, stamps=one.clock.stamps - fit_line(one.clock.stamps)[1], jitter=0.0)
             )

@@ -160,7 +160,7 @@ def solve(
             break
         norm, reach = trace[-1], share * solver.reach
         room = bounds.shift_to(x, reach)
-        # What a law no longer tells where it vanishes is not moved; its deviation is more than its value.
+        # A parameter that a vanishing law no longer determines is not moved; its deviation is more than its value.
         largest = np.maximum(largest, sizes := np.linalg.norm(J, axis=0))
         told = np.where((sizes > _RESOLVED * largest) | (sizes * np.abs(x) > norm / math.sqrt(error.size)), J, 0.0)
         step = damped_step(error, told, room, damping, widths)

@@ -54,7 +54,7 @@ from jointid.common.parallel import in_threads
 
 INTERVAL, COVERED = 2.0, 0.9544997361036416  # deviations: half an interval; and how often it holds the truth
 LEVEL = 0.05  # of a test: how often it fails where nothing is wrong
-SHOWN = 4.0  # deviations from 0 of what is there beyond doubt
+SHOWN = 4.0  # deviations from 0 of a significant value
 ROUNDING = 1e-9  # of the largest singular value of columns of norm 1: one that is rounding
 
 _BANDS = 8  # of frequency, whose scores are compared

@@ -138,7 +138,7 @@ class DriveSideFit(Method):
         else:
             try:
                 found = _fit_rigid(problem, history).solution
-            except MethodError:  # of a light joint in noise the reversals may be all that tells of its inertia
+            except MethodError:  # of a light joint in noise only the reversals may show its inertia
                 problem = problem.map_logs(_keep_reversals)
                 found = _fit_rigid(problem, history).solution
         if len(records) > 1:

@@ -183,7 +183,7 @@ class IDIM(Method):
         rows = inverse.rows(motions if make else [part for motion in motions for part in motion.split()])
         rows = rows if len(logs) > 1 else replace(rows, series=())  # of several, parts of long ones count as records
         if ENCODER_OFFSET in inverse.parameters:
-            with suppress(MethodError):  # nothing tells it from the other forces
+            with suppress(MethodError):  # nothing separates it from the other forces
                 solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET}, make)
         slight = 1e-3 * float(np.sqrt(np.mean(rows.Y**2)))  # as much is left by filters
         if solved is None or not abs(solved.values[-1]) > max(SHOWN * solved.covariance.std[-1], slight):

@@ -416,7 +416,7 @@ def measure_motion(
     motion = motion_along(channels, raw, filtering, delays, model if robot else joints[0].model, counts)
     if filtering.timing == "respected":  # the published pipeline takes all rows
         moving, steady = steady_weights(motion, smear, _FEW if robot is None else 0.0)
-        # A spring smooths the jump of the load's acceleration; there the rows about reversals tell of the stiffness.
+        # A spring smooths the jump of the load's acceleration; there the rows about reversals show the stiffness.
         motion = replace(motion, moving=(moving if springs else steady) * motion.counts, apart=robot is None)
     if robot is None:
         return motion

@@ -187,7 +187,7 @@ def drift(
         return None
     names, fits, alone = [p.name for p in free], list[tuple[FloatArray, FloatArray, NDArray[np.bool_]]](), list[Alone]()
     parts = [[windows[i] for i in part] for part in np.array_split(np.arange(len(windows)), count)]
-    # How the windows of all segments scatter, in units of what a window tells.
+    # How the windows of all segments scatter, in units of what a window determines.
     scatter, stated = np.zeros((x.size, x.size)), np.zeros(x.size)
     for part in parts:
         sums = total([w.sums for w in part])
@@ -196,7 +196,7 @@ def drift(
         determined = np.sum(vectors**2, axis=1) > 1.0 - 1e-6
         step = -back @ (back.T @ sums.b)
         fits.append((x + step, back, determined))
-        # A window takes part in what it is compared with, one that tells much more than one that tells little.
+        # A window takes part in what it is compared with, an informative one more than others.
         apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in part]
         own = [back.T @ w.sums.shift(step).b for w in part]
         scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)]) * determined

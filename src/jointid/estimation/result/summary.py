@@ -46,7 +46,7 @@ def describe_estimate(estimate: Estimate, *, details: bool = False) -> Document:
 
 
 def _lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Yield the lines beside answer and tables: what to do, what the record does not tell, and where the rest is."""
+    """Yield the lines beside answer and tables: what to do, what the record does not show, and where the rest is."""
     trust, reasons = estimate.answer.trust, estimate.answer.trust.values["reasons"]
     checks = sorted(estimate.checks, key=lambda one: (one.name != Subject.LOOP, one.name != Subject.IDENTIFIABILITY))
     wrong = [one for one in checks if one.passed is False and (one.name == Subject.LOOP or one.code in reasons)]

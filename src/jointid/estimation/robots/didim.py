@@ -75,7 +75,7 @@ from jointid.uncertainty.identifiability import find_separable
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
-_NONE = 1e-9  # N m: bounds of a torque that nothing tells
+_NONE = 1e-9  # N m: bounds of an undetermined torque
 _ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
 
 

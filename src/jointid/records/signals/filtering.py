@@ -110,7 +110,7 @@ class Filtering:
             raise MethodError(
                 f"Cut-offs are below the Nyquist frequency, {nyquist:g} Hz, and above {_SLOWEST * nyquist:g} Hz; the "
                 f"decimation is at most {most} for this cut-off; got position_cutoff = {position:g} Hz, cutoff = "
-                f"{cutoff:g} Hz and decimation = {self.decimation}: correct what is beyond."
+                f"{cutoff:g} Hz and decimation = {self.decimation}: choose others."
             )
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
