@@ -106,7 +106,8 @@ def _restore_robot(answer: dict[str, Any], system: RobotSystem, rows: dict[str, 
     setup: RobotSystem = robot
     if (stated := [str(one["name"]) for one in settings["system"]["joints"]]) != list(robot.names):
         raise RecordError(f"it is of the joints {', '.join(stated)}, and this robot has {', '.join(robot.names)}")
-    if refused := [name for name, row in rows.items() if row.value is None]:
+    refused, searched = [name for name, row in rows.items() if row.value is None], answer.get("values")
+    if refused and searched is None:
         raise RecordError(f"it refuses {', '.join(refused)}, so it predicts no torque; identify these joints as rigid")
     if not simulates:
         robot = robot.rigid
@@ -137,7 +138,7 @@ def _restore_robot(answer: dict[str, Any], system: RobotSystem, rows: dict[str, 
         )
         if there.keys() != here.keys() or not np.allclose([there[one] for one in here], [*here.values()], rtol=_DIGITS):
             raise RecordError(f"there {name} is {row.formula}, and of this robot {formula}; identify again")
-    values = np.array([row.value for row in rows.values()], dtype=np.float64)
+    values = np.array(searched or [row.value for row in rows.values()], dtype=np.float64)
     if isinstance(setup, RobotLoop):
         setup = at_estimate(setup, parameters, values)
     return IdentifiedRobot(setup, parameters, values)

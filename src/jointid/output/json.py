@@ -209,4 +209,5 @@ def keep(path: Path, key: str, estimate: Estimate | None, **refusal: str) -> Non
     answer: Json = {"schema": ESTIMATE_SCHEMA, "key": key, **refusal}
     if estimate is not None:
         answer |= to_dict(estimate) | {"x": plain(estimate.x), "diagnosis": plain(estimate.diagnosis, whole=True)}
+        answer |= {} if estimate.robot is None else {"values": plain(estimate.robot.values)}  # of refused ones, too
     write_whole(path, dumps(answer))

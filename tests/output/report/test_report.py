@@ -17,6 +17,7 @@ from jointid.common.charts import mark, panels, styled, svg
 from jointid.diagnostics.analysis import compute_response, estimate_spectra
 from jointid.output.axis_drawing import axis_figure
 from jointid.output.figures import response_figure
+from jointid.output.json import keep, recall
 from jointid.output.report import Report, _tune, repetition
 from jointid.simulation.start import INITIAL
 from tests.browser import opened
@@ -185,7 +186,7 @@ def test_the_spectrum_of_white_noise_is_flat_and_of_the_right_size() -> None:
         estimate_spectra(noise[:20], noise[:20], 1e-3)
 
 
-def test_what_is_refused_is_not_in_the_table() -> None:
+def test_what_is_refused_is_not_in_the_table_and_is_kept(tmp_path: Path) -> None:
     twin = two((9.0, None))
     loop, driven = twin.loop(), twin.records(2.0, multisine=0.01)
     logged = ji.simulate(loop, driven).records(driven)
@@ -197,7 +198,10 @@ def test_what_is_refused_is_not_in_the_table() -> None:
         for row in found.rows
     )
     estimate = replace(found, rows=rows)
-    told = Report.of(estimate, records)
+    keep(tmp_path / "kept.json", "key", estimate)
+    back = recall(tmp_path / "kept.json", loop, "key")  # type: ignore[arg-type]
+    assert back.to_dict() == estimate.to_dict() and np.array_equal(back.robot.values, estimate.robot.values)  # type: ignore[union-attr]
+    told = Report.of(back, records)  # type: ignore[arg-type]
     text = reports.marked(told)
     assert "| joint1, stiffness | > 1234 |" in text
     answer = json.loads(told.answer())
