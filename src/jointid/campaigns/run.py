@@ -343,7 +343,7 @@ def run_cases(
         reach(sum(made.values()))
 
     while affected := _run_together(rest, engine, carry, keep):
-        progress(f"a worker died; what it may have died of is tried again: {pluralise(len(affected), 'case')}")
+        progress(f"a worker died; what may have ended it is tried again: {pluralise(len(affected), 'case')}")
         for case in affected:
             if all(_run_together(iter([case]), engine, carry, keep) for _ in range(_DEATHS)):
                 sentence = (

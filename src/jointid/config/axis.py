@@ -107,7 +107,7 @@ class AxisUnits:
         ((output, name),) = found.items()
         known = self._torque_per(output)
         if given is None and known is None:
-            rest = f" is of an output in {output}; expected what takes it to the torque: give the joint a "
+            rest = f" is of an output in {output}; expected its factor to the torque: give the joint a "
             rest += "torque_constant, or the drive its rated_torque."
             raise JointFileError(fault_at(("controller", name), rest, "unit"))
         if given is not None and known is not None and abs(given / known - 1) > _AGREES:

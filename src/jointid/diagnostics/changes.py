@@ -317,7 +317,7 @@ def _row(name: str, correct: Callable[[Case], Iterable[Case]], clause: str = _IS
 
 
 _SIGNS = [
-    Cause(f"{name}_sign", f"the {name} has the wrong sign (turn record.channels.{name}.sign round)")
+    Cause(f"{name}_sign", f"the {name} has the wrong sign (reverse record.channels.{name}.sign)")
     for name in ("torque", "reference")
 ]
 CHANGES = (
@@ -346,7 +346,7 @@ CHANGES = (
     _row("notch", partial(_try_filter, "notch"), "the torque passes a notch near {shown} Hz: see torque_filters"),
     _row(
         "velocity_feedforward", _try_feedforward,
-        "the velocity feed-forward is there and not declared, or the other way round",
+        "the velocity feed-forward acts and is not declared, or the reverse",
     ),
     _row("limit", _try_limit, "the controller's output is limited to {shown}, which is not declared"),
     _row("delay", partial(_try_delay, "delay")),

@@ -194,7 +194,7 @@ class Diagnosis(Documented):
         """The first fault in a sentence."""
         first = min(self.symptoms, key=lambda one: (not one.spoils, one.code in _VAGUE), default=None)
         if first is not None:
-            said = f"{self.name}: " if first.spoils else f"Nothing that is wrong with {self.name} spoils its answer: "
+            said = f"{self.name}: " if first.spoils else f"No fault of {self.name} affects its answer: "
             return f"{said}{first}."
         return self.sentences[0] if self.sentences else f"Nothing is wrong with {self.name}."
 

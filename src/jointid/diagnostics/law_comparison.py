@@ -126,8 +126,8 @@ class LawComparison(Documented):
             rating = "shown" if one is self.shown else "as good" if one.predicts_as_well else "worse"
             errors = (f"{number(100 * share, 3)} %" for share in (one.fitted, one.kept))
             rows.append((one.name, str(one.parameters), *errors, rating, one.words))
-        header = (self.kind, "parameters", "left, fitted", "left, kept apart", "", "value ± 2 sigma")
-        note = f"kept apart: a third of {PARTS} parts of the record, in turn, by the fit to the others"
+        header = (self.kind, "parameters", "left, fitted", "left, held out", "", "value ± 2 sigma")
+        note = f"held out: a third of {PARTS} parts of the record in turn, predicted by the fit to the others"
         return Document(f"{self.answer}.", (Table(header, tuple(rows), note, words=(0, 4, 5)),))
 
 

@@ -496,7 +496,7 @@ def _other_spring(laws: Sequence[str], seen: Seen) -> Columns:
         for start in law.starts(values, seen.windup):
             if law.name == "backlash":
                 yield 0.5 * start["gap"], seen.vary(start, start["gap"], spring=law)
-            else:  # stiffer at the largest wind-up than near none
+            else:  # stiffer at the largest wind-up than near zero
                 torque = law.torque({**values, **start}, np.array([seen.windup]), np.zeros(1))
                 more = float(torque[0]) / (start["stiffness"] * seen.windup) - 1.0
                 yield more, seen.vary(start, more, spring=law)
@@ -565,11 +565,11 @@ _ROWS = (
         'declare friction = "asymmetric"',
     ),
     _position(
-        "cogging", "force that comes back with the motor's position", _cog, "declare it: [ripple] period = {shape}",
+        "cogging", "force that repeats with the motor's position", _cog, "declare it: [ripple] period = {shape}",
         tried=_WAVES_TRIED.size, one_sided=True, measure="torque",
     ),
     _spring(
-        "cubic_spring", "spring that is not linear, stiffer at the largest torque than near none",
+        "cubic_spring", "spring that is not linear, stiffer at the largest torque than near zero",
         partial(_other_spring, ("three-piece", "cubic")), "jointid diagnose --laws names its law", measure="%",
     ),
     _spring(

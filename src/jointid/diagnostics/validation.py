@@ -62,7 +62,7 @@ class Prediction(StrEnum):
 _SAID = {
     Prediction.NOT_PREDICTED: (
         "does not predict",
-        "; load, friction, channels or the controller are others there: identify it from this record, too, and compare "
+        "; load, friction, channels or the controller differ there: identify it from this record, too, and compare "
         "both estimates",
     ),
     Prediction.OWN_RECORD: ("was identified from", "; validate it on another record"),

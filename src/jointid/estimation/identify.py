@@ -243,7 +243,7 @@ def identify_record(
         if p.quantity is Quantity.INERTIA and p.free and fit.values.get(p.name, 1.0) <= 0:
             raise MethodError(
                 f"The record gives {p.name} = {fit.values[p.name]:.4g}, which no joint has: the torque or the motion "
-                "has the wrong sign (turn record.channels.torque.sign round), or they do not belong together"
+                "has the wrong sign (reverse record.channels.torque.sign), or they do not belong together"
                 f"{''.join(f'; {note}' for note in said)}."
             )
     lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(fit.data.channels) else None

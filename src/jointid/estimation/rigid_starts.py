@@ -67,7 +67,7 @@ def rigid_starts(problem: ClosedLoopProblem, progress: Progress) -> list[dict[st
 
 def inversion_start(problem: ClosedLoopProblem) -> dict[str, float]:
     """Return a start by IDIM on the reconstructed position."""
-    torque, position = _turn_round(problem)
+    torque, position = _invert(problem)
     found = _regress(problem, inverse_of_joint(problem.joint), torque, position, [problem.axis.law.delay])
     return found | first_state(problem, position)
 
@@ -92,7 +92,7 @@ def start_with_friction(problem: ClosedLoopProblem, progress: Progress) -> dict[
 def require_work(problem: ClosedLoopProblem) -> None:
     """Refuse a torque that takes most of the energy exchanged along its motion."""
     try:
-        torque, position = _turn_round(problem)
+        torque, position = _invert(problem)
     except MethodError:  # a controller without an inverse gives no motion
         return
     # A constant load gives back what lifting it took.
@@ -100,7 +100,7 @@ def require_work(problem: ClosedLoopProblem) -> None:
     if np.sum(work) < -_TAKEN * np.sum(np.abs(work)):
         raise MethodError(
             f"The torque does {number(float(np.sum(work)), 3)} J of work along its motion; expected more than 0, as "
-            "every joint has friction: turn the sign of torque or reference round, or check the unit of both."
+            "every joint has friction: reverse the sign of torque or reference, or check the unit of both."
         )
 
 
@@ -141,10 +141,10 @@ def _regress(
     return dict(zip(found.rows.names, map(float, found.values), strict=True))
 
 
-# The controller turned round
+# The inverse of the controller
 
 
-def _turn_round(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
+def _invert(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
     """Applied torque, (samples,), and the motor position that the controller read."""
     command, axis = command_of(problem), problem.axis
     return command + axis.after_limit[:: axis.clock.skips][: command.size], reconstructed_position(problem)
@@ -225,7 +225,7 @@ def start_rigid_robot(problem: Simulated, loop: RobotLoop, records: Sequence[Rec
                 # Of a slow controller the log shows each output many times.
                 if name == "inversion" and experiment.axes[j].clock.shows == 1:
                     alone = torque_problem(record, own, problem.filtering, own.joint.parameters)
-                    torques[:, j], positions[:, j] = (one[: len(torques)] for one in _turn_round(alone))
+                    torques[:, j], positions[:, j] = (one[: len(torques)] for one in _invert(alone))
             found = _regress(problem, inverse, torques, positions, delays, most)
         except MethodError as error:
             failures.append(str(error))

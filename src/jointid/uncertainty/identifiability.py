@@ -139,7 +139,7 @@ def identifiability(
             limitations.append(_describe_pair(each[i], each[j], correlation, assess))
     for i, one in each.items():
         if parameters[i].lower >= 0 and one.value <= INTERVAL * one.std:
-            said = f"{in_words(parameters[i].name)} is not significant: its interval holds 0"
+            said = f"{in_words(parameters[i].name)} is not significant: its interval contains 0"
             values = {"parameter": parameters[i].name, "value": one.value, "std": one.std}
             limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
     seen = filter(is_seen, sums_of([parameters[i] for i in own], units))

@@ -181,9 +181,9 @@ def flexible_against_rigid(
     p_value, gained = p_values[least_certain], found / rigid if rigid > 0 else 0.0
     flexible = p_value <= 0.01  # a smaller p-value of a rigid joint says that it is flexible
     words = (
-        f"the record {'asks' if flexible else 'does not ask'} for the flexible model, which takes "
-        f"{number(100 * gained, 2)} % off the sum of squares (statistic {number(statistic, 3)}, p = {p_value:.2g} by "
-        f"the residual's signs over {least_certain})"
+        f"the record {'supports' if flexible else 'does not support'} the flexible model, which reduces the sum of "
+        f"squares by {number(100 * gained, 2)} % (statistic {number(statistic, 3)}, p = {p_value:.2g} by the "
+        f"residual's signs over {least_certain})"
     )
     values = {"statistic": statistic, "p_value": p_value, "gained": gained}
     return Message("flexible" if flexible else "rigid", words, values)

@@ -92,7 +92,7 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
         if mine.spring is not None and truth.spring is not None:
             assert mine.spring.stiffness == pytest.approx(truth.spring.stiffness, rel=0.05)
     hidden = hide_spring(estimate, "joint2")
-    with pytest.raises(MethodError, match="does not show the spring of joint2, so it does not part motor from link"):
+    with pytest.raises(MethodError, match="does not show the spring of joint2, so it does not separate motor and link"):
         consistent_robot(hidden)
 
 

@@ -137,7 +137,7 @@ def payload(
     options = options if without is None else replace(options, records=(without,))
     file = options.load(robot)
     if file.robot is None:
-        raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
+        raise MethodError(f"{robot} is no robot file, which has the table [robot]: give one.")
     if file.parameters:
         raise MethodError(f"joints.parameters keeps {', '.join(file.parameters)}; leave it out: a payload frees all.")
     found = identify_payload(

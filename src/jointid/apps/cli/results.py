@@ -71,7 +71,7 @@ def validate(joint: Path, /, *, options: Options = DEFAULTS) -> None:
 
     file = options.load(joint)
     if not options.records:
-        raise MethodError("An estimate is held against a record that it has not seen; expected --record OTHER.")
+        raise MethodError("A validation takes a record that the estimate has not seen; expected --record OTHER.")
     identified = replace(options, records=options.records[:-1]).identify(file, several=True)[1]
     ready(options.progress, file)
     deliver(run(identified, file.record(options.records[-1])), options.json)

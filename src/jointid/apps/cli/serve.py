@@ -43,7 +43,7 @@ def serve(*, port: int = 8765, folder: Path = Path("jointid-page")) -> None:
             listening.listen()
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise JointidError(f"Port {port} cannot be listened at ({reason}); choose another --port.") from None
+            raise JointidError(f"The page cannot listen at port {port} ({reason}); choose another --port.") from None
         address = f"http://{_HOST}:{listening.getsockname()[1]}/{token}/"
         show(f"The page is at {address} (Ctrl-C stops it); records and answers are kept in {folder}.")
         if os.name == "posix" and folder.stat().st_mode & 0o077:

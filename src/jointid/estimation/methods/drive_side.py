@@ -192,7 +192,7 @@ def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:
     values = linear.values(x - np.linalg.lstsq(slopes, error, rcond=None)[0])
     if values["inertia"] <= 0.0:
         raise MethodError(
-            "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (turn "
-            "record.channels.torque.sign round), or they do not belong together."
+            "Torque and motor position give no joint with positive inertias: one of them has the wrong sign (reverse "
+            "record.channels.torque.sign), or they do not belong together."
         )
     return history.solve(problem, problem.vector(values))

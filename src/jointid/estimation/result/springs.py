@@ -192,7 +192,7 @@ def _doubts(
         yield "the spring explains less of what remains than repeats with the motion and no noise explains"
     for p, value, spread in zip(problem.free, x, known.covariance.std, strict=True):
         if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) and value <= INTERVAL * spread:
-            yield f"the interval of {p.name} holds 0"
+            yield f"the interval of {p.name} contains 0"
     mode = frequency_of(problem.values(x))
     if mode > FASTEST / problem.axis.sample_time:
         yield f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow"

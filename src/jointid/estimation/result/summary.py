@@ -104,7 +104,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         own = [p for p in rows if p.free and p.of_joint]
         alone = [{n: interval(one.values[n], INTERVAL * one.std[n]) for n in one.values} for one in parts]
         yield _table(
-            "each by itself, ± 2 sigma without what all of them err alike",
+            "each by itself, ± 2 sigma without their common error",
             ("", [one.name for one in parts], True),
             *((f"{p.symbol} {p.unit}", [one.get(p.name, "-") for one in alone], False) for p in own),
             ("error %", [f"{100 * one.filtered_error:.2f}" for one in parts], False),

@@ -154,7 +154,7 @@ def require_shown(estimate: Estimate) -> None:
     """
     if hidden := [row.axis for row in estimate.rows if row.name.endswith(".stiffness") and row.value is None]:
         raise MethodError(
-            f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
+            f"The record does not show the spring of {join(hidden)}, so it does not separate motor and link there; "
             "leave this spring out of the robot file, or excite its mode."
         )
 

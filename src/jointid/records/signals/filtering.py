@@ -342,5 +342,5 @@ def describe_noise_limit(filtering: Filtering, limit: float, sample_time: float,
     default, cutoff = _CUTOFFS[model][1] / sample_time, filtering.cutoff or math.inf
     if cutoff <= limit * (1 + 1e-9) or limit >= default:
         return ()
-    why = f"noise or steps of the positions pull an inertia if they pass above {number(limit, 3)} Hz"
+    why = f"noise or steps of the positions above {number(limit, 3)} Hz bias an inertia"
     return (f"filtering.cutoff is {number(cutoff, 3)} Hz, and {why}: lower filtering.cutoff to that",)
