@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ import pytest
 
 import jointid as ji
 import jointid.diagnostics.identify as verb
+from jointid.apps.cli.console import Options
 from jointid.config import File
 from jointid.output import json as answers
-from tests.rigid_axis import recorded, run, write_axis
+from tests.rigid_axis import TRUTH, recorded, run, write_axis
 
 PROGRAM = """
 import os, signal, sys
@@ -87,6 +89,18 @@ def test_what_changes_the_answer_searches_again(
     assert run(*words, "--window", "9") == 2
     monkeypatch.setattr(File, "identify", None)
     assert run(*words, "--window", "9") == 2, "a refusal of windows is kept, too"
+
+
+def test_a_test_for_a_refused_value_is_planned_from_its_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    joint, find = write_axis(tmp_path), Options.find
+
+    def refuse(*asked: Any, **more: Any) -> ji.Estimate:
+        found = find(*asked, **more)
+        return replace(found, rows=tuple(replace(p, value=None, stderr=None) for p in found.rows))
+
+    monkeypatch.setattr(Options, "find", refuse)
+    assert run(*(words := ("design", joint, "--search-time", "0.1", "-q"))) == 2
+    assert run(*words, *(word for n, x in TRUTH.items() for word in ("--set", f"parameters.{n}.start={x}"))) == 0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process can send itself these signals")

@@ -49,6 +49,8 @@ def test_what_is_filled_in_is_what_is_written() -> None:
     assert tables.keys() == {"joint", "record", "controller", "parameters"}
     shown = show_tables(tables)
     assert (shown["controller.delay"], shown[EXTRA].strip()) == ("0.8 ms", "[parameters]\ncoulomb = 20.0")
+    entered = take([("controller.position_gain", "x\x00\x1b[2J" + "9" * 1000)])["controller.position_gain"]
+    assert len(entered) == 300 and entered.isprintable()
 
 
 def test_a_field_that_does_not_count_is_left_out() -> None:
@@ -111,11 +113,6 @@ def test_no_lines_lead_to_another_file(said: str, names: list[str]) -> None:
     files = [found.get(f"{key}") for key in ("robot.model", "record.file")]
     rows = [row["file"] for row in found.get("records", [])]
     assert [*filter(None, files), *rows] == names
-
-
-def test_a_text_is_bounded_and_printable() -> None:
-    entered = take([("controller.position_gain", "x\x00\x1b[2J" + "9" * 1000)])["controller.position_gain"]
-    assert len(entered) == 300 and entered.isprintable()
 
 
 def test_several_records_are_rows_of_the_joint_file() -> None:

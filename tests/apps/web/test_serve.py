@@ -19,18 +19,14 @@ def test_a_missing_package_is_refused(module: str, tmp_path: Path, monkeypatch: 
     assert run("serve", "--folder", tmp_path) == 2
 
 
-def test_a_port_or_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
+def test_a_port_or_a_folder_that_is_taken_or_none_is_refused(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         assert run("serve", "--port", taken.getsockname()[1], "--folder", tmp_path / "page") == 2
     assert (tmp_path / "page").stat().st_mode & 0o777 == 0o700, "its owner's alone"
     assert run("serve", "--port", 99999, "--folder", tmp_path / "page") == 2
-    assert run("serve", "--folder", tmp_path / "file" / "page") == 2
-
-
-def test_a_second_page_in_a_folder_is_refused(tmp_path: Path) -> None:
+    assert run("serve", "--folder", tmp_path / "page" / "_lock" / "page") == 2, "below a file"
     with (tmp_path / "_lock").open("a") as held:
         assert lock(held.fileno())
         assert run("serve", "--port", 0, "--folder", tmp_path) == 2

@@ -69,8 +69,13 @@ def design(
         "motion": None if motion is None else file.record(motion, driving=True),
     }  # fmt: skip
     if file.robot is None:
-        record, estimate = options.identify(file, whole=True)
-        found = run(estimate, record, **asked)
+        record, model = options.identify(file, whole=True)
+        if record.torque is not None and None in [p.value for p in model.rows if p.of_joint]:
+            # What is refused is planned for by the declared starts, with the noise that the estimate leaves.
+            noise = {"log": model.fit.relative_error * float(record.torque.values.std())}
+            asked |= {"values": file.axis.values(), "noise": noise, "parameters": file.parameters}
+            model, asked["filtering"] = file.loop, file.filtering
+        found = run(model, record, **asked)
     else:
         found = _plan_robot(file, options, asked)
     found = file.lay_out(found)
