@@ -9,6 +9,7 @@ import warnings
 from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
+from typing import Any
 
 from jointid.apps.web.folder import Draft
 from jointid.apps.web.routes import Page
@@ -30,6 +31,11 @@ UNITS = {
 }
 
 
+def code_of(answer: Any) -> int:
+    """The status of an answer, 422 of a page with a fault."""
+    return 422 if 'role="alert"' in answer.text or "aria-invalid" in answer.text else int(answer.status_code)
+
+
 @dataclass
 class Asker:
     """The person who started the page."""
@@ -43,11 +49,11 @@ class Asker:
 
     def post(self, path: str, data: dict[str, str] | None = None) -> tuple[int, str]:
         answer = self.client.post(path, data=data or {})
-        return answer.status_code, unescape(answer.text)
+        return code_of(answer), unescape(answer.text)
 
     def send(self, name: str, content: bytes, to: str = "/record") -> tuple[int, str]:
         answer = self.client.post(to, files={"file": (name, content)})
-        return answer.status_code, unescape(answer.text)
+        return code_of(answer), unescape(answer.text)
 
     def said(self, name: str, content: bytes) -> str:
         """Send a record that is refused, and return why."""

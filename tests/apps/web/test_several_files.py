@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.apps.cli.test_robots import HEAD, write_robot
-from tests.apps.web.asking import UNITS, Asker
+from tests.apps.web.asking import UNITS, Asker, code_of
 from tests.estimation.robots.twin import arm
 from tests.rigid_axis import run as command
 
@@ -16,7 +16,7 @@ ROBOT = HEAD + '[[joints]]\nname = "joint1"\n[[joints]]\nname = "joint2"\n'
 def send(asker: Asker, files: dict[str, bytes]) -> str:
     """Send files, and return the step that follows."""
     answer = asker.client.post("/record", files=[("file", one) for one in files.items()])
-    return str(answer.url.path.rsplit("/", 1)[1]) if answer.status_code == 200 else str(answer.status_code)
+    return str(answer.url.path.rsplit("/", 1)[1]) if (code := code_of(answer)) == 200 else str(code)
 
 
 @pytest.mark.slow

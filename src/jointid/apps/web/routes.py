@@ -129,12 +129,11 @@ class Page:
         shown = {one.key: one for section in sections for one in section.fields}
         faults = form.place_faults(self.refused.get(step), shown)
         return self.render(
-            "form" if number > 1 else "record", 422 if faults else 200, step=number, sections=sections,
-            texts=now.texts, faults=faults, suffixes=_SUFFIXES, bound=folder.UPLOAD, columns=columns,
-            checked=now.json("_checked.json"),
+            "form" if number > 1 else "record", step=number, sections=sections, texts=now.texts, faults=faults,
+            suffixes=_SUFFIXES, bound=folder.UPLOAD, columns=columns, checked=now.json("_checked.json"),
         )  # fmt: skip
 
-    def render(self, template: str, code: int = 200, **values: Any) -> Response:
+    def render(self, template: str, **values: Any) -> Response:
         """Render a page from a template."""
         now, runs = self.now, self.runs
         common = {
@@ -144,7 +143,7 @@ class Page:
         made = templates(Path(__file__).with_name("templates"))
         made.globals["unit_in_name"] = unit_in_name
         made.filters["by_field"] = lambda words: form.name_fields(words, {} if now.robot else form.fields_of(now.texts))
-        return HTMLResponse(made.get_template(f"{template}.html").render(common | values), code)
+        return HTMLResponse(made.get_template(f"{template}.html").render(common | values))
 
     def redirect(self, path: str, refusal: Exception | None = None) -> Response:
         """Redirect the browser to another address, such as "/channels", which shows a refusal."""
