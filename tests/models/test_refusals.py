@@ -67,6 +67,7 @@ REFUSED: dict[str, Callable[[], object]] = {
     "a law that sees the position later": lambda: turned_round({"reference": 5.0}),
     "a law with an unstable inverse": lambda: turned_round({"position": -1.0}),
     "an unknown friction": lambda: Friction("dahl"),
+    "a friction without a name": lambda: Friction(None),  # type: ignore[arg-type]
     "a rise over the speed that winds up": lambda: Friction("asymmetric-stribeck-presliding"),
     "an unknown spring": lambda: Spring("quintic"),
     "a spring without a name": lambda: Spring(None),  # type: ignore[arg-type]

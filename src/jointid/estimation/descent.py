@@ -249,6 +249,8 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
 
 # Laws that are not linear
 
+_STARTS = 16  # of a search, at most: terms that combine multiply theirs
+
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
     """The same joint's problem with a linear spring."""
@@ -307,4 +309,5 @@ def law_starts(
         frictions = [dict(ChainMap(*both)) for both in zip(*by_side, strict=True)]
     still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
     stated = {name: start for name, start in given.items() if start is not None}
-    return [{**still, **values, **spring, **own, **stated} for spring, own in product(springs, frictions)]
+    each = [{**still, **values, **spring, **own, **stated} for spring, own in product(springs, frictions)]
+    return each[:: -(-len(each) // _STARTS)]

@@ -178,8 +178,8 @@ class Friction:
     name: str = "symmetric"
 
     def __post_init__(self) -> None:
-        whole = "-".join(word for word in ("asymmetric", *_TERMS) if word in self.name) or "symmetric"
-        winding = sum(term.winds is not None for term in self.terms())
+        whole = "-".join(word for word in ("asymmetric", *_TERMS) if word in str(self.name)) or "symmetric"
+        winding = sum(term.winds is not None for word, term in _TERMS.items() if word in whole)
         if self.name != whole or winding + ("stribeck" in whole) > 1:  # lines that wind up jump from band to band
             raise MethodError(f'Friction "{self.name}" is not known; use {", ".join(FRICTIONS)}.')
 

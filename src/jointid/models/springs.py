@@ -71,14 +71,14 @@ def _start_slider(linear: Values, windup: float) -> Iterator[dict[str, float]]:
 
 
 def swinging_part(linear: Values, share: float, times: float) -> dict[str, float]:
-    """Swinging part at a multiple of the first mode; total stiffness kept."""
+    """Swinging part at a multiple of the first mode; total stiffness kept, in each piece."""
     stiffness, load = linear["stiffness"], linear["load_inertia"]
     first = stiffness * (1 / linear["motor_inertia"] + 1 / load)  # rad2/s2
     second = share * (1 - share) * load * times**2 * first
-    left = 1 / stiffness - share**2 / second
+    left = {name: 1 / linear[name] - share**2 / second for name in linear if name.startswith("stiffness")}
     swings = {"swinging_share": share, "swinging_stiffness": second}
     swings["swinging_damping"] = linear["damping"] * second / stiffness
-    return {"stiffness": 1 / left if left > 0.0 else _STIFFER * stiffness} | swings
+    return {name: 1 / one if one > 0.0 else _STIFFER * linear[name] for name, one in left.items()} | swings
 
 
 class _Term(NamedTuple):

@@ -64,10 +64,7 @@ def motion_problem(
     """Problem of records' torques along measured motor motion, late by ``log_delay``."""
     require_free(parameters)
     if joint.ripple is not None and joint.ripple.side == "load":
-        raise MethodError(
-            "The drive side takes a joint without a ripple on the load's side; received one that has it: identify "
-            'by the method "didim".'
-        )
+        raise MethodError("The drive side takes a ripple of the motor; received one of the load: identify by DIDIM.")
     logs = [_motion_log(record, joint, filtering) for record in records]
     moves = [bool(moving_weights(log.motion.v[:, 0])[0]) for log in logs if joint.springs]
     if len(moves) > 1 and any(moves):
