@@ -142,14 +142,14 @@ def _follow(
     for c, (column, j, of_elements, of_limits) in enumerate(explicit):
         own = of_limits.size
         of_law[j, : len(of_elements), :own, c], limits[j, :own, column] = of_elements, of_limits
-    places, speeds, laws = first
+    (places, speeds, laws), alone = first, kept.path is None and experiment.tree is None
     lines = kept.path is not None and all(law.linear for law in numbers.joints[0].laws)
     seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if lines else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 
     follow(
-        kept.plant, experiment.tree, numbers.inertials, experiment.sampled, kept.start.before, kept.command,
-        kept.excess, kept.tape, kept.path, seeds, places, speeds, laws, of_law,
+        kept.plant, experiment.tree, numbers.inertials, experiment.sampled, (0.0,) * numbers.count if alone else None,
+        kept.start.before, kept.command, kept.excess, kept.tape, kept.path, seeds, places, speeds, laws, of_law,
         np.array([column for column, *_ in explicit], dtype=np.int64), limits, command, states, command[:, :0],
     )  # fmt: skip
     return command, states

@@ -180,10 +180,11 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
     if not count or not len(run.tape):
         return np.zeros((parts, n, count))
     plant, speeds, none = heavy.plant, np.zeros((n, parts + 1, count)), np.zeros((n, 0, count))
+    joint = (0.0,) * heavy.count if prescribed.tree is None else None
     follow(
-        plant, prescribed.tree, heavy.inertials, pass_on(run.command, prescribed.step), np.zeros(n), run.command,
-        np.zeros((n, 0, 1)), run.tape, None, heavy.seeds(plant, keys), *_slopes_at_start(run, keys),
-        none, np.zeros((n, 0, 1, 0)), np.zeros(0, np.int64), np.zeros((n, 1, count)), np.zeros((n, parts + 1, 0)),
+        plant, prescribed.tree, heavy.inertials, pass_on(run.command, prescribed.step), joint, np.zeros(n), run.command,
+        np.zeros((n, 0, 1)), run.tape, None, heavy.seeds(plant, keys), *_slopes_at_start(run, keys), none,
+        np.zeros((n, 0, 1, 0)), np.zeros(0, np.int64), np.zeros((n, 1, count)), np.zeros((n, parts + 1, 0)),
         np.zeros((0, 4, count)), speeds,
     )  # fmt: skip
     return -HEAVY / prescribed.step * np.diff(speeds, axis=1).transpose(1, 0, 2)

@@ -24,6 +24,7 @@ complementarity problem, Opsearch 11, 1974), which ends for every positive defin
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -52,23 +53,31 @@ _WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: above it cannot be told from Coulomb's
 
 
-def _make_zeros(_: Any, size: Any) -> tuple[Any, Any]:
-    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        array, width = context.make_array(signature.return_type)(context, builder), context.get_constant(types.intp, 8)
-        memory = builder.alloca(context.get_value_type(types.float64), args[0])
-        cgutils.memset(builder, memory, builder.mul(width, args[0]), 0)  # type: ignore
-        arrayobj.populate_array(array, memory, [args[0]], [width], width, None)  # type: ignore
-        return array._getvalue()
+def _lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    array, width = context.make_array(signature.return_type)(context, builder), context.get_constant(types.intp, 8)
+    size = reduce(builder.mul, args)
+    memory = builder.alloca(context.get_value_type(types.float64), size)
+    cgutils.memset(builder, memory, builder.mul(width, size), 0)  # type: ignore
+    strides = [builder.mul(width, columns) for columns in args[1:]]
+    arrayobj.populate_array(array, memory, [*args], [*strides, width], width, None)  # type: ignore
+    return array._getvalue()
 
-    return types.float64[::1](size), lower
+
+def _make_vector(_: Any, size: Any) -> tuple[Any, Any]:
+    return types.float64[::1](size), _lower
 
 
-_zeros: Any = np.zeros if config.DISABLE_JIT else extending.intrinsic(_make_zeros)  # type: ignore
+def _make_table(_: Any, rows: Any, columns: Any) -> tuple[Any, Any]:
+    return types.float64[:, ::1](rows, columns), _lower
+
+
+vector: Any = np.zeros if config.DISABLE_JIT else extending.intrinsic(_make_vector)  # type: ignore
 """Zeros on the stack, which LLVM keeps in registers where it knows their number and each index."""
+table: Any = (lambda *sizes: np.zeros(sizes)) if config.DISABLE_JIT else extending.intrinsic(_make_table)  # type: ignore
 
 
 @inline_kernel
-def _tied(tree: Tree | None, pairs: IndexArray, s: int) -> Any:
+def tied(tree: Tree | None, pairs: IndexArray, s: int) -> Any:
     """Return the masses that a spring ties; of a joint neighbours."""
     return (np.uint64(s), np.uint64(s + 1)) if tree is None else (pairs[s, 0], pairs[s, 1])
 
@@ -84,39 +93,43 @@ def _read(x: FloatArray, i: float) -> float:
 
 
 @inline_kernel
-def invert(M: FloatArray, modes: FloatArray, inverse: FloatArray) -> bool:
-    """Fill the inverse of a mass matrix, masses at rest with the row of the identity; False if it is no such matrix."""
+def solve(M: FloatArray, modes: FloatArray, left: FloatArray, x: FloatArray) -> bool:
+    """Replace the forces on masses by their accelerations; False if M, with the masses at rest held, is not positive.
+
+    The force on a mass at rest is 0; `left` is scratch.
+    """
     n = M.shape[0]
     for i in range(n):
-        for j in range(n):
-            inverse[i, j] = M[i, j] if modes[i] != 0.0 and modes[j] != 0.0 else 0.0
-        inverse[i, i] += 1.0 if modes[i] == 0.0 else 0.0
+        for j in range(i + 1):
+            left[i, j] = M[i, j] if modes[i] != 0.0 and modes[j] != 0.0 else 0.0
+        left[i, i] += 1.0 if modes[i] == 0.0 else 0.0
     for k in range(n):
-        if not inverse[k, k] > 0.0:
+        if not left[k, k] > 0.0:
             return False
-        share = 1.0 / inverse[k, k]
-        inverse[k, k] = 1.0
-        for j in range(n):
-            inverse[k, j] *= share
-        for i in range(n):
-            factor = inverse[i, k] if i != k else 0.0
-            if factor != 0.0:
-                inverse[i, k] = 0.0
-                for j in range(n):
-                    inverse[i, j] -= factor * inverse[k, j]
+        share = 1.0 / left[k, k]
+        for i in range(k + 1, n):
+            factor = left[i, k] * share
+            x[i] -= factor * x[k]
+            for j in range(k + 1, i + 1):
+                left[i, j] -= factor * left[j, k]
+        x[k] *= share
+        left[k, k] = share
+    for k in range(n - 1, -1, -1):
+        for i in range(k):
+            x[i] -= left[i, i] * left[k, i] * x[k]
     return True
 
 
 @inline_kernel
 def accelerate(
     mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
-    M: FloatArray, inverse: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
+    M: FloatArray, left: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
     grip: FloatArray, pull: FloatArray, turned: FloatArray,
 ) -> bool:  # fmt: skip
     """Compute accelerations, and friction at rest with its limits; False if M is not positive definite.
 
-    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, whose inverse is filled,
+    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, `left` is scratch for it,
     and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes are the
     directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are those of
     their bands and pieces.
@@ -132,7 +145,7 @@ def accelerate(
         for i in range(nd):
             held[i] -= force if i == places[j, kernels.WHERE] else 0.0
     for s in range(pull.size):
-        one, two = _tied(tree, pairs, s)
+        one, two = tied(tree, pairs, s)
         pull[s] = laws.spring_torque(spring, s, q[two] - q[one], v[two] - v[one], w[nd + s])
         held[one] += pull[s]
         held[two] -= pull[s]
@@ -145,11 +158,8 @@ def accelerate(
         carried = pull[np.uint64(s)] if s >= 0 else drive[i]
         grip[i], drag = laws.friction(mass, i, back, carried, time)
         held[i] -= grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode) + drag * v[i]
-        a[i] = held[i] * mobility[i] if mode != 0.0 else 0.0
-    positive = tree is None or invert(M, modes, inverse)
-    for i in range(links):
-        for j in range(links if modes[i] != 0.0 else 0):
-            a[i] += inverse[i, j] * held[j]
+        a[i] = held[i] * (mobility[i] if i >= links else 1.0) if mode != 0.0 else 0.0
+    positive = tree is None or solve(M, modes, left, a)
     for i in range(links):
         for j in range(links if modes[i] == 0.0 else 0):  # what the others' motion takes from what holds it
             held[i] -= M[i, j] * a[j]
@@ -216,7 +226,7 @@ def _watch(
         guards[i] = room if mode != FREE else np.inf
         guards[every + i] = min(mode * v[i] - bounds[i, 0], bounds[i, 1] - mode * v[i])
     for s in range(every - nd):
-        i, (one, two) = nd + s, _tied(tree, pairs, s)
+        i, (one, two) = nd + s, tied(tree, pairs, s)
         guards[i] = modes[i] * (v[two] - v[one]) if spring[s, kernels.WINDING] > 0.0 else np.inf
         guards[every + i] = min(q[two] - q[one] - bounds[i, 0], bounds[i, 1] - (q[two] - q[one]))
 
@@ -336,7 +346,7 @@ def _fastest_rate(
             square += grip[i] * tangent * mobility[i]
             rate += abs(laws.wind_up(mass, i, modes[i], v[i], w[i])[1])
     for s in range(w.size - nd):
-        one, two = _tied(tree, pairs, s)
+        one, two = tied(tree, pairs, s)
         e, both = q[two] - q[one], mobility[one] + mobility[two]
         stiffness = spring[s, kernels.STIFFNESS] + max(3.0 * spring[s, kernels.CUBIC] * e * e, 0.0)
         left = abs(modes[nd + s] - w[nd + s])
@@ -388,13 +398,13 @@ def run(
     nd, ns = (masses.shape[0], pairs.shape[0]) if joint is None else (len(joint), len(joint) - 1)
     axes, outputs, nw = motors.size, loop.output, nd + ns
     links, parts, clock = inertials.shape[0], lengths.size, command.shape[1]
-    q, v, a, held, grip, drive = _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd)
-    q1, v1, a1, held1, grip1, between = _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd), _zeros(nd)
-    mean, pull, w, w1, guards, ends = _zeros(nd), _zeros(ns), _zeros(nw), _zeros(nw), _zeros(2 * nw), _zeros(2 * nw)
+    q, v, a, held, grip, drive = vector(nd), vector(nd), vector(nd), vector(nd), vector(nd), vector(nd)
+    q1, v1, a1, held1, grip1, between = vector(nd), vector(nd), vector(nd), vector(nd), vector(nd), vector(nd)
+    mean, pull, w, w1, guards, ends = vector(nd), vector(ns), vector(nw), vector(nw), vector(2 * nw), vector(2 * nw)
     modes, mobility, at, bounds = np.zeros(nw), np.zeros(nd), np.zeros(nw, dtype=np.int64), np.zeros((nw, 2))
     turned, link_room = np.zeros((places.shape[0], 3)), np.zeros((links, ROOM))
     mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.MASS))
-    M, inverse, bias, still = np.zeros((links, links)), np.zeros((links, links)), np.zeros(links), np.zeros(links)
+    M, coupling, bias, still = table(links, links), table(links, links), vector(links), vector(links)
     fresh, cut = np.empty(z.shape[1]), np.zeros(elements)
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
     for part in range(parts):
@@ -472,7 +482,7 @@ def run(
                     laws.turn_place(places, j, _read(q, places[j, kernels.WHERE]), turned)
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
-                        mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive, time,
+                        mass, spring, places, pairs, carriers, tree, M, coupling, bias, mobility, modes, drive, time,
                         q, v, w, a, held, grip, pull, turned,
                     ):  # fmt: skip
                         status = kernels.NOT_POSITIVE
@@ -480,7 +490,7 @@ def run(
                     if not settle(mass, modes, v, a, held, grip, turn <= nd):
                         break
                 for s in range(ns):  # a deflection at rest goes where its ends accelerate to
-                    one, two = _tied(tree, pairs, s)
+                    one, two = tied(tree, pairs, s)
                     turns = settles and v[two] == v[one] and modes[nd + s] * (a[two] - a[one]) < 0.0
                     if turns and spring[s, kernels.WINDING] > 0.0:
                         modes[nd + s] = -modes[nd + s]
@@ -523,7 +533,7 @@ def run(
                             if mass[i, kernels.WINDING] > 0.0:
                                 w1[i] = laws.wind(mass, i, modes[i], mean[i], gone, w[i])
                         for s in range(ns):
-                            one, two = _tied(tree, pairs, s)
+                            one, two = tied(tree, pairs, s)
                             if spring[s, kernels.WINDING] > 0.0:
                                 w1[nd + s] = laws.wind(spring, s, modes[nd + s], mean[two] - mean[one], gone, w[nd + s])
                         if tree is not None:
@@ -531,7 +541,7 @@ def run(
                             for i in range(links):
                                 M[i, i] += mass[i, kernels.INERTIA]
                         if not accelerate(
-                            mass, spring, places, pairs, carriers, tree, M, inverse, bias, mobility, modes, drive,
+                            mass, spring, places, pairs, carriers, tree, M, coupling, bias, mobility, modes, drive,
                             time + gone, q1, v1, w1, a1, held1, grip1, pull, turned,
                         ):  # fmt: skip
                             status = kernels.NOT_POSITIVE if M[0, 0] == M[0, 0] else kernels.DIVERGED  # no number

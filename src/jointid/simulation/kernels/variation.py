@@ -34,7 +34,7 @@ from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
 from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes, small_law
-from jointid.simulation.kernels.engine import invert
+from jointid.simulation.kernels.engine import solve, table, tied, vector
 
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of springs stiffness and damping; of both the force of what winds up, whole, first and last, its stiffness, how
@@ -60,35 +60,39 @@ def _mean_motion(tape: FloatArray, row: int, nd: int, mean: FloatArray, change: 
 
 
 @inline_kernel
-def _stretch(d: FloatArray, pairs: IndexArray, nd: int, x: int, c: int) -> float:
+def _stretch(d: FloatArray, tree: Tree | None, pairs: IndexArray, nd: int, x: int, c: int) -> float:
     """Return a derivative of a mass's place, or of a spring's deflection."""
-    return float(d[x, c] if x < nd else d[pairs[x - nd, 1], c] - d[pairs[x - nd, 0], c])
+    if x < nd:
+        return float(d[x, c])
+    one, two = tied(tree, pairs, x - nd)
+    return float(d[two, c] - d[one, c])
 
 
 @inline_kernel
 def _fill_factors(
-    masses: FloatArray, springs: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray,
-    tape: FloatArray, row: int, mean: FloatArray, change: FloatArray, drive: FloatArray, time: float,
-    own: FloatArray, law: NDArray[Any], torque: FloatArray, f: FloatArray, k: FloatArray,
+    masses: FloatArray, springs: FloatArray, places: FloatArray, tree: Tree | None, pairs: IndexArray,
+    carriers: IntArray, tape: FloatArray, row: int, mean: FloatArray, change: FloatArray, drive: FloatArray,
+    time: float, own: FloatArray, law: NDArray[Any], torque: FloatArray, f: FloatArray, k: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the factors of a step, a row of the tape, and the partials of the forces by their numbers at both ends.
 
     Partials have rows for masses, springs and places as the step begins, then as many as it ends.
     """
-    nd, ns, h, half = masses.shape[0], pairs.shape[0], tape[row, kernels.LENGTH], k.shape[0] // 2
+    nd, ns, h, half = mean.shape[1], torque.size, tape[row, kernels.LENGTH], k.shape[0] // 2
     mass, spring = own[:nd], own[nd:]
     modes, at, wound = STATE + 4 * nd, STATE + 5 * nd + ns, STATE + 6 * nd + 2 * ns
     for i in range(nd):
         assign(mass[i], masses[i, int(tape[row, at + i])])
     for s in range(ns):
         laws.take_piece(springs, s, int(tape[row, at + nd + s]), spring)
-    for values in (f.reshape(-1), k.reshape(-1)):
-        for i in range(values.size):
-            values[i] = 0.0
+    for values in (f, k):
+        for i in range(values.shape[0]):
+            for j in range(values.shape[1]):
+                values[i, j] = 0.0
     for end in range(2):
         side = end - 0.5
         for s in range(ns):
-            one, two, x, to, piece = pairs[s, 0], pairs[s, 1], nd + s, end * half + nd + s, tape[row, at + nd + s]
+            (one, two), x, to, piece = tied(tree, pairs, s), nd + s, end * half + nd + s, tape[row, at + nd + s]
             speed, way, begun = mean[_SPEED, two] - mean[_SPEED, one], tape[row, modes + nd + s], wound + nd + s
             w = laws.wind(spring, s, way, speed, 0.5 * h, tape[row, begun])
             w += side * (tape[row + 1, begun] - tape[row, begun])
@@ -122,7 +126,7 @@ def _fill_factors(
         if f[_FIRST, x] == 0.0 or w == way:
             continue  # nothing winds up, or it is
         assign(law[0], own[x])
-        law[0, _WOUND], law[0, _GONE] = w, h * _stretch(mean.T, pairs, nd, x, _SPEED)
+        law[0, _WOUND], law[0, _GONE] = w, h * _stretch(mean.T, tree, pairs, nd, x, _SPEED)
         for n in range(kernels.WINDING, _GONE + 1):  # by complex steps
             law[0, n] += _SMALL
             speed = law[0, _GONE] * (1.0 / h)
@@ -156,14 +160,14 @@ def _flush(values: FloatArray) -> None:
 
 
 @inline_kernel
-def _join(pairs: IndexArray, f: FloatArray, K: FloatArray, C: FloatArray, G: FloatArray) -> None:
+def _join(tree: Tree | None, pairs: IndexArray, f: FloatArray, K: FloatArray, C: FloatArray, G: FloatArray) -> None:
     """Add masses and springs to stiffness, damping and inputs; friction may carry a torque."""
     nd = len(K)
     for i in range(nd):
         K[i, i] -= f[_STIFF, i]
         C[i, i] += f[_DRAG, i]
-    for s in range(len(pairs)):
-        one, two, pull, damp = pairs[s, 0], pairs[s, 1], f[_PULL, nd + s], f[_DAMP, nd + s]
+    for s in range(f.shape[1] - nd):
+        (one, two), pull, damp = tied(tree, pairs, s), f[_PULL, nd + s], f[_DAMP, nd + s]
         for to, weight in ((one, 1.0), (two, -f[_TAKES, two])):  # the far mass carries its torque
             K[to, one] += weight * pull
             K[to, two] -= weight * pull
@@ -174,7 +178,7 @@ def _join(pairs: IndexArray, f: FloatArray, K: FloatArray, C: FloatArray, G: Flo
                     G[order, to, c] += weight * G[order, nd + s, c]
 
 
-@compile_kernel
+@inline_kernel
 def _move(
     h: float, late: float, f: FloatArray, M: FloatArray, K: FloatArray, C: FloatArray, G: FloatArray,
     left: FloatArray, rows: FloatArray, dq: FloatArray, dv: FloatArray,
@@ -184,8 +188,7 @@ def _move(
     The mean velocities are found by elimination, the last mass
     first: the rotor of a robot is tied to its link alone.
     """
-    affine.wide_vectors()
-    nd, count = dq.shape
+    nd, count = M.shape[0], dq.shape[1]
     for i in range(nd):
         goes = f[_GOES, i]
         for c in range(count):
@@ -218,7 +221,7 @@ def _move(
 @inline_kernel
 def _shift_edges(
     rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int, jumps: NDArray[np.bool_],
-    f: FloatArray, M: FloatArray, inverse: FloatArray, dv: FloatArray,
+    f: FloatArray, M: FloatArray, left: FloatArray, push: FloatArray, dv: FloatArray,
 ) -> None:  # fmt: skip
     """Add to the velocities what later edges of the torques, as a step begins, take from them.
 
@@ -228,13 +231,16 @@ def _shift_edges(
     nd = len(dv)
     after, before = STATE + 2 * nd, STATE + 3 * nd
     for d in range(len(delays)):
-        c, j, r, push = delays[d, 0], delays[d, 1], rotors[delays[d, 1]], 0.0
+        c, j, r = delays[d, 0], delays[d, 1], rotors[delays[d, 1]]
         if not jumps[j] or f[_GOES, r] == 0.0:
             continue
         for i in range(nd):
-            push += M[r, i] * (tape[row, after + i] - tape[last, before + i])
+            push[i] = 0.0
         for i in range(nd):
-            dv[i, c] -= inverse[i, r] * push
+            push[r] += M[r, i] * (tape[row, after + i] - tape[last, before + i])
+        solve(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], left, push)
+        for i in range(nd):
+            dv[i, c] -= push[i]
 
 
 @inline_kernel
@@ -283,10 +289,10 @@ def _pass_event(
 
 @compile_kernel
 def follow(
-    plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, torques_before: FloatArray,
-    torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path | None, seeds: Seeds, first_q: FloatArray,
-    first_v: FloatArray, dz: FloatArray, explicit: FloatArray, columns: IntArray, dlimits: FloatArray,
-    command: FloatArray, states: FloatArray, speeds: FloatArray,
+    plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, joint: tuple[float, ...] | None,
+    torques_before: FloatArray, torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path | None,
+    seeds: Seeds, first_q: FloatArray, first_v: FloatArray, dz: FloatArray, explicit: FloatArray, columns: IntArray,
+    dlimits: FloatArray, command: FloatArray, states: FloatArray, speeds: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the derivatives of a finished run by n parameters; LANES of a joint of straight lines.
 
@@ -303,18 +309,18 @@ def follow(
     affine.wide_vectors()
     masses, springs, places, pairs, rotors, carriers = plant
     lags, every, post, lengths = loop.lags, loop.every, loop.post, loop.lengths
-    n, nd, ns, axes, count = len(inertials), len(masses), len(pairs), len(torques), first_q.shape[1]
+    nd, ns = (len(masses), len(pairs)) if joint is None else (len(joint), len(joint) - 1)
+    n, axes, count = len(inertials), len(torques), first_q.shape[1]
     parts, steps, elements, forces, last_row = lags.shape[1], torques.shape[1], excess.shape[2], nd + ns, len(tape) - 1
     controlled, heavy = command.shape[2] > 0, rotors[: rotors.size if speeds.shape[1] > 0 else 0]
     G, rows = np.zeros((2, forces, count)), np.zeros((nd, count))
     dq, dv, dw, acts = first_q.copy(), first_v.copy(), np.zeros((forces, count)), np.zeros(axes, np.int64)
-    lead, kicks = np.zeros(count), np.zeros(nd)
+    lead, kicks = np.zeros(count), vector(nd)
     fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
-    mean, change, drive = np.zeros((3, nd)), np.zeros((3, nd)), np.zeros(nd)
-    numbers, wound, torque = np.zeros((forces, kernels.MASS + 1)), np.zeros((1, _GONE + 1), np.complex128), np.zeros(ns)
-    f, k = np.zeros((_TURNS + _GONE + 1, forces)), np.zeros((2 * (forces + len(places)), _GONE + 1))
-    room, Y, M = np.zeros((n, ROOM)), np.zeros((n, 10 * n)), np.zeros((nd, nd))
-    inverse, left, K, C = M.copy(), M.copy(), M.copy(), M.copy()
+    mean, change, drive, numbers = table(3, nd), table(3, nd), vector(nd), table(forces, kernels.MASS + 1)
+    wound, torque, f = np.zeros((1, _GONE + 1), np.complex128), vector(ns), table(_TURNS + _GONE + 1, forces)
+    k, room, Y = table(2 * (forces + len(places)), _GONE + 1), np.zeros((n, ROOM)), np.zeros((n, 10 * n))
+    M, K, C, left = table(nd, nd), table(nd, nd), table(nd, nd), table(nd, nd)
     turns = _WHOLE if controlled and tree is not None else _COMPOSED
     jumps = np.zeros(axes, dtype=np.bool_)
     if path is not None:
@@ -390,18 +396,17 @@ def follow(
                     for i in range(nd):
                         M[i, i] += masses[i, 0, kernels.INERTIA]
                     _fill_factors(
-                        masses, springs, places, pairs, carriers, tape, row, mean, change, drive, time, numbers,
+                        masses, springs, places, tree, pairs, carriers, tape, row, mean, change, drive, time, numbers,
                         wound, torque, f, k,
                     )  # fmt: skip
                     if edge:
-                        invert(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], inverse)
-                        _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, inverse, dv)
+                        _shift_edges(rotors, seeds.delays, tape, last, row, jumps, f, M, left, kicks, dv)
                         edge = False
                     for i in range(forces):
                         for c in range(count):
                             G[0, i, c], G[1, i, c] = 0.0, 0.0
                         for c in range(count if f[_FIRST, i] != 0.0 else 0):
-                            gone, w = _stretch(dq, pairs, nd, i, c), dw[i, c]
+                            gone, w = _stretch(dq, tree, pairs, nd, i, c), dw[i, c]
                             G[0, i, c] = f[_ENTERS, i] * w - f[_WINDS, i] * gone
                             dw[i, c] = f[_TURNS + _WOUND, i] * w - f[_TURNS + _GONE, i] * gone
                         _add_seeds(seeds, i, int(abs(tape[row, at_band + i])), i, f, k, G, dw)
@@ -417,14 +422,14 @@ def follow(
                     for e in range(len(seeds.links)):
                         for i in range(n):
                             G[0, i, seeds.links[e, 0]] -= Y[i, 10 * seeds.links[e, 1] + seeds.links[e, 2]]
-                    _join(pairs, f, K, C, G)
+                    _join(tree, pairs, f, K, C, G)
                     share = -0.5
                     for i in range(turns.size):
                         _move(h * turns[i], share + 0.5 * turns[i], f, M, K, C, G, left, rows, dq, dv)
                         share += turns[i]
                     for i in range(forces):
                         for c in range(count if f[_FIRST, i] != 0.0 else 0):
-                            dw[i, c] += f[_TURNS + _GONE, i] * _stretch(dq, pairs, nd, i, c)
+                            dw[i, c] += f[_TURNS + _GONE, i] * _stretch(dq, tree, pairs, nd, i, c)
                 time += h
                 if tape[row, kernels.EVENT] >= 0.0:
                     _pass_event(tape, row, nd, pairs, heavy, M, seeds, dq, dv, lead, kicks)
