@@ -10,6 +10,7 @@ it to SI and keeps the text for files that are written.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, is_dataclass, replace
 from difflib import get_close_matches
@@ -208,8 +209,10 @@ class Reader:
         return _WRONG if any(value is _WRONG for value in made.values()) else tuple(made.values()) if is_list else made
 
     def _refuse(self, place: Place, rest: str, code: str = "value") -> Any:
-        for word, ours in _MEANT.items():
-            rest = rest.replace(f' is "{word}"; ', f' is "{word}"; did you mean "{ours}"? Otherwise ')
+        word, _, choices = rest.removeprefix(' is "').partition('"; expected ')
+        near = get_close_matches(word, re.findall('"(.*?)"(?=.*choose one)', choices), 1)
+        if meant := _MEANT.get(word) or "".join(near):
+            rest = rest.replace("; ", f'; did you mean "{meant}"? Otherwise ', 1)
         self.faults.append(fault_at(place, rest, code))
         return _WRONG
 

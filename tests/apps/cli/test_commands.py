@@ -101,7 +101,7 @@ def test_what_is_simulated_from_a_late_beginning_counts_from_its_own(tmp_path: P
         ("identfy", EMPS),
         ("data", "inspect", "log.csv"),
         ("identify", EMPS, "--recrod", "x.mat"),
-        ("identify", EMPS, "--set", "method.name=magic"),
+        ("identify", EMPS, "--set", "controller.law=casade"),
         ("identify", EMPS, "--set", "controller.law='P-PI'"),
         ("identify", "log.csv"),
         ("identify", EMPS, "--record", EMPS),
@@ -118,7 +118,7 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(
     assert run(*words) == 2
     said = capsys.readouterr()
     assert said.out == "" and said.err.startswith("jointid: ") and "Traceback" not in said.err
-    assert "id you mean" in said.err[:65] or not {"identfy", "data", "controller.law='P-PI'"} & {*words}
+    assert "id you mean" in said.err[:65] or not ({"identfy", "data"} & {*words} or "controller.law" in str(words))
     assert list(tmp_path.iterdir()) == []
 
 
