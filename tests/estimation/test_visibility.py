@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.common.messages import ignore_progress
-from jointid.diagnostics.identify import check_without_joint
 from jointid.diagnostics.validation import validate
 from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.estimate import Estimate
@@ -22,6 +22,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.covariance import Influence
 from jointid.uncertainty.position_dependent_error import uncertainty
+from studies.mechanics import spoiled
 from studies.stiffness_bounds import random_plant
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
@@ -46,7 +47,7 @@ def unseen() -> tuple[Record, Estimate]:
     record = simulated_record(
         PLANT.loop, reference, PLANT.truth, sample_time=1e-3, torque_noise=noise, encoder_step=1e-6
     )
-    return record, identify(record.without("motor_position", "load_position"), PLANT.loop)
+    return record, ji.identify(record.without("motor_position", "load_position"), PLANT.loop)
 
 
 def test_a_spring_that_the_record_does_not_show_is_refused(unseen: tuple[Record, Estimate]) -> None:
@@ -62,20 +63,28 @@ def test_a_spring_that_the_record_does_not_show_is_refused(unseen: tuple[Record,
     assert json.loads(dumps(to_dict(estimate)))["parameters"]["stiffness"]["value"] is None
     with pytest.raises(MethodError, match=r"stiffness, .*cannot be determined from this record"):
         validate(estimate, record)
-    assert estimate.answer.trust.values["reasons"] == ["not_tested"]
+    assert estimate.answer.trust.values["reasons"] == []
+    assert estimate.checks[-1].code == "loop_as_declared"
+    assert told_bounds(estimate) == estimate.bounds
 
 
-def test_the_loop_of_a_refused_spring_is_checked_along_the_motor_position(unseen: tuple[Record, Estimate]) -> None:
+def test_the_loop_and_the_log_of_a_refused_spring_are_checked() -> None:
+    """Without that check, the whole inertia is 9 % off, 7.9 deviations, and nothing is said."""
+    made = spoiled(270304, "saturation", 4.0, "white force")
+    assert made is not None
+    estimate = ji.identify(made.record, made.axis.loop)
+    assert stiffness_verdict(estimate)[0] is False
+    assert estimate.answer.trust.code == "not_reliable_yet"
+    assert estimate.checks[-1].values["suspect"] == "torque_saturation"
+    assert told_bounds(estimate) == ()
+
+
+def test_a_wrong_gain_beside_a_refused_spring_is_named(unseen: tuple[Record, Estimate]) -> None:
     record, estimate = unseen
     loop = estimate.settings.loop
     wrong = replace(loop, controller=replace(loop.controller, gain=0.8 * loop.controller.gain))
-    assert check_without_joint(record, loop)[0].passed
-    (verdict,) = check_without_joint(record, wrong)
-    assert (verdict.passed, verdict.code) == (False, "law_scaled") and "the torque is 1.25" in verdict.words
-    assert told_bounds(estimate) == estimate.bounds
-    assert told_bounds(replace(estimate, checks=(*estimate.checks[:-1], verdict))) == ()
-    (unchecked,) = check_without_joint(record.without("motor_position"), wrong)
-    assert unchecked.passed is None
+    values = ji.identify(record, wrong).checks[-1].values
+    assert "gain" in (values["suspect"], *values["alike"])
 
 
 @pytest.mark.slow

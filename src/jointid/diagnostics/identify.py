@@ -26,7 +26,7 @@ from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis, diagnose_joint, diagnose_robot
 from jointid.diagnostics.explain import FAILS, Causes, begin_record, explain_misfit
-from jointid.diagnostics.model_free import Agreement, compare_law, find_broken_part, find_lost_samples, find_too_short
+from jointid.diagnostics.model_free import Agreement, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search import TOLERANCE, find_part_of_loop
 from jointid.diagnostics.suspects import DELAY, FAULTS, TORQUE_FILTER, VELOCITY_FILTER, Fault, FaultSignature, Finding
@@ -201,11 +201,10 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
 
     whole = all(p.value is not None for p in fit.rows)
     try:
-        if whole:
-            found = diagnose_joint(fit, record, problem, x, explain=explain)
-            loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
-        else:
-            loop = check_without_joint(record, problem.loop_at(x))
+        found = diagnose_joint(fit, record, problem, x, **({"explain": explain} if whole else {"most": 1}))
+        loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
+        if not whole and found.axes[0].faults.explained is not None:  # it may be the spring that is not identified
+            loop = _untested("not checked, because the joint is not fully identified; identify it as rigid")
     except FAILS as error:
         loop = _untested(f"not checked: {error}")
     faults = None if found is None else found.axes[0].faults
@@ -234,14 +233,6 @@ def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
     with contextlib.suppress(*FAILS):
         wider += widen_for_undeclared(fit, found)
     return wider
-
-
-def check_without_joint(record: Record, loop: ClosedLoop) -> tuple[Check, ...]:
-    """Check the loop of a partly identified joint, by the motor position."""
-    law = compare_law(record, loop)
-    if law is None:
-        return _untested("not checked, because the joint is not fully identified; identify it as rigid")
-    return checks_of(Subject.LOOP, law.agreement.code == Agreement.HOLDS, law.agreement)
 
 
 def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Checked:
