@@ -52,8 +52,7 @@ def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     random = np.random.default_rng(3).standard_normal(reference.size)
     for noise, told in ((0.1, True), (40.0, False)):
         record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise * random)
-        settings = ji.DriveSideFit(log_delay=0.0)
-        found = ji.identify(record.without("reference"), joint, settings)
+        found = ji.identify(record.without("reference"), joint, ji.DriveSideFit(log_delay=0.0))
         assert found["inertia"].value is not None
         least = {name: found[name].interval[0] for name in ("inertia", "viscous")}
         assert (least["inertia"] > 0) is told
