@@ -243,8 +243,8 @@ class Axis:
         missing = [p.name for p in parameters if p.start is None]
         if missing:
             raise MethodError(
-                f"A simulation needs a value for every parameter; without one: {', '.join(missing)}. Give each a value "
-                "or a start in the table parameters, or identify the joint first."
+                f"This needs a value of every parameter; without one: {', '.join(missing)}. Give each a value or a "
+                "start in [parameters], or a record that shows it."
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 
