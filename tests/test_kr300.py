@@ -12,7 +12,7 @@ import jointid as ji
 from jointid.config import File
 from jointid.estimation.parameters import mass_matrix_at
 from jointid.estimation.result.verdict import Trust
-from tests.estimates import errors_of_bodies
+from tests.estimates import beside_tables, errors_of_bodies
 from tests.estimation.robots.twin import identified
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "kr300"
@@ -56,7 +56,7 @@ def test_a_stiffness_from_both_encoders_is_not_relied_on(
     spring, trust = estimate["K12"], estimate.answer.trust
     assert (spring.value, 2 * (spring.stderr or 0.0)) == pytest.approx((stiffness, two_sigma), rel=0.05)
     assert trust.code == Trust.NOT_YET
-    assert "encoder_lag" in trust.values["reasons"]
+    assert "encoder_lag" in trust.values["reasons"] and "stamps of" in beside_tables(estimate)["next"]
 
 
 @pytest.fixture(scope="module")

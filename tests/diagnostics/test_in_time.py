@@ -66,8 +66,13 @@ def test_a_fault_that_no_correction_lowers_is_not_dropped_beside_a_weaker_fricti
     stuck = lambda found, test: (find(found, test)[0], find(found, test)[1] if test.fault.of_model else found)  # noqa: E731
     monkeypatch.setattr(search, "_find", stuck)
     wrong = replace(LOOP, controller=replace(LOOP.controller, velocity_gain=2.2))
-    faults = faults_of(ji.identify(record, wrong, checks=False), record)
+    estimate = ji.identify(record, wrong, checks=False)
+    faults = faults_of(estimate, record)
     assert all(one.test.fault.of_model for one in faults.findings) and 0.0 < faults.explained < 0.5
+    monkeypatch.undo()
+    monkeypatch.setattr(search, "find_unexplained_share", lambda *_: 0.01 * estimate.fit.filtered_error)
+    (vague,) = faults_of(estimate, record).reasons  # which explains most, but leaves more than free responses
+    assert vague.code == Reason.NO_CAUSE_FOUND and vague.values["explained"] > 0.5
 
 
 def test_noise_that_comes_back_is_no_part() -> None:

@@ -142,8 +142,7 @@ def _examine(record: Record, loop: ClosedLoop | None) -> Iterator[Symptom]:
         return
     yield from (Symptom("torque_coarse", one) for one in find_record_warnings(replace(record, remarks=()), ("torque",)))
     limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
-    if math.isfinite(limit):
-        yield from (Symptom("at_limit", one) for one in limit_faults(record, limit))
+    yield from (Symptom("at_limit", one) for one in limit_faults(record, limit))
     if record.reference is not None and (plain := find_plain_cause(record)) is not None:
         yield Symptom(_POOR_MOTION, plain.words)
     law = None if loop is None else compare_law(record, loop)

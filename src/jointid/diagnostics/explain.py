@@ -29,7 +29,7 @@ from jointid.common.text import number
 from jointid.diagnostics import model_free
 from jointid.diagnostics.changes import NOTCH_DEPTH, Case, Cause, is_small, list_changes
 from jointid.diagnostics.score import LEVEL, SolvedLoop
-from jointid.diagnostics.search import is_gross
+from jointid.diagnostics.search import MORE, is_gross
 from jointid.diagnostics.suspects import Finding
 from jointid.estimation.identify import identify_record, part_of
 from jointid.estimation.methods.drive_side import DriveSideFit
@@ -56,7 +56,6 @@ _CLEARLY = 0.3  # of the declared error: such a residual is convincing if no mod
 _LEAVES, _LEAVES_BY_TIME = 0.85, 0.6  # of the declared error, at most: a wrong sample time spoils all of a fit
 # Times the residual of free responses: a cause that leaves more is not all that is wrong
 _MORE, _MORE_OF_POSITION = 1.15, 1.4
-_MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
 _FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD, _NOTCH = 1.1, 1.01  # times the least error: it may be the cause, too; a notch, of more numbers, is no better
 _NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
@@ -145,8 +144,8 @@ def explain_misfit(
     asked, loop, error, rows = record.reference, estimate.settings.loop, estimate.fit.filtered_error, estimate.rows
     assert loop is not None and asked is not None
     every = findings or ()
-    gross = any(is_gross(one.test, estimate.data.sample_time) for one in every)
-    poor = gross or error > _SUSPICIOUS
+    gross = [one for one in every if is_gross(one.test, estimate.data.sample_time)]
+    poor = bool(gross) or error > _SUSPICIOUS
     if not poor and loop.joint.model == "flexible" and any(p.value is None for p in rows):
         # Far below its resonance a flexible joint is rigid: its spring causes no misfit there, and no other gain.
         rigid = _list_rigid_starts(Case(record, loop, estimate.settings.filtering))
@@ -158,13 +157,13 @@ def explain_misfit(
         return None
     fits = [f.left for f in every if f.left is not None and (len(every) == 1 or f.law or f.value is None)]
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
-    responses = 0.0 if poor and (gross or not fits) else model_free.find_unexplained_share(problem, asked.values)
+    responses = 0.0 if poor and not fits else model_free.find_unexplained_share(problem, asked.values)
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     strained = all(p.value is not None for p in rows) and any(p.of_joint and p.at_bound is not None for p in rows)
     if not (poor or strained or model_free.find_steps(record) or error > _FAR_MORE * responses > 0):
         return None
-    if not gross and fits and fits[0] <= (_MORE_OF_A_LAW * responses or _FITS):
-        return None  # under that law nothing more is wrong
+    if fits and fits[0] <= (MORE * responses or _FITS) and all(one.test.fault.measure == "ms" for one in gross):
+        return None  # with that corrected nothing more is wrong; a factor that is gross may be another quantity's
     causes = find_causes(record, loop, estimate, progress=progress)
     return causes if causes.found or error > POOR_FIT else None
 
@@ -298,9 +297,7 @@ def list_cases(declared: Case) -> list[Case]:
     law, found = model_free.compare_law(record, loop), list[Case]()
     for change in list_changes(declared):
         for case in change.correct(declared):
-            if record.computed and case.record.torque is not record.torque:
-                continue
-            excluded = case.free in declared.beside
+            excluded = case.free in declared.beside or (record.computed and case.record.torque is not record.torque)
             if law is not None and law.holds and case.record is record:
                 excluded |= all(model_free.excludes(record, loop, one.controller) for one in case.loops)
             elif law is not None and law.holds:

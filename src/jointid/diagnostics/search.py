@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,7 +29,7 @@ from jointid.common.parameters import POSITION_UNIT, Bounds
 from jointid.common.text import number
 from jointid.diagnostics import changes, suspects
 from jointid.diagnostics.axis_torques import AxisTorques, is_noise
-from jointid.diagnostics.model_free import excludes, offer
+from jointid.diagnostics.model_free import excludes, find_unexplained_share, offer
 from jointid.diagnostics.score import LEVEL, RARER, RIVAL, SolvedLoop, score
 from jointid.diagnostics.suspects import AxisFaults, FaultSignature, FaultTest, Finding, OtherLaw
 from jointid.estimation.descent import descend, least_squares
@@ -53,6 +54,7 @@ _MUCH = 0.25  # of what is left of an axis, that a fault explains at least
 _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not the cause
 _TAKEN = 0.2  # of a log: a scale that leaves less of it leaves nothing to explain
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
+MORE = 1.3  # times the residual of free linear responses: with the right fault corrected it is 1.0 at most
 _LITTLE = 0.1  # of twice the logarithm of the first fault's likelihood ratio: that of a remainder
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 
@@ -65,12 +67,10 @@ _KNOWN = 0.5  # of the largest singular value: what of the parameters the rest o
 # Of a joint
 
 
-def is_gross(one: FaultTest, period: float) -> bool:
-    """Test whether a fault is too large for linear sensitivities."""
-    if one.name in changes.OTHER_LAWS:  # its size is a share of what another law changes
-        return False
-    if one.fault.measure == "ms":
-        return abs(one.size) > _MUCH_LATER * period
+def is_gross(one: FaultTest, period: float = math.inf) -> bool:
+    """Test whether a fault is too large for linear sensitivities; a time in periods, if one is given."""
+    if one.fault.measure == "ms":  # of another law the size is a share of what that changes
+        return one.name not in changes.OTHER_LAWS and abs(one.size) > _MUCH_LATER * period
     return abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
 
 
@@ -84,7 +84,7 @@ def search_faults(
     if np.linalg.norm(problem.residual(initial.x)) > exact:
         initial = replace(initial, x=descend(problem, initial.x, TOLERANCE).x)
     found = initial
-    findings, suspected, last = list[Finding](), list[Finding](), None
+    findings, suspected, gross, last = list[Finding](), list[Finding](), list[Finding](), None
     while len(findings) < most and np.linalg.norm(found.residual) > exact:
         laws = test_laws(found)
         stated = choose_law([one for one in laws if one.explains(found)])
@@ -107,7 +107,7 @@ def search_faults(
             # A law is judged by a fit, and so is the strongest fault: one step towards it may show little.
             both = (find_other_law(found, stated, alike), under), *itertools.islice(corrected, 1)
             finding, found = min(both, key=lambda one: float(np.linalg.norm(one[1].residual)))
-        elif is_gross(possible[0], problem.sample_time) and explain(gross := [Finding(possible[0], None, (), {})]):
+        elif is_gross(possible[0]) and explain(gross := [Finding(possible[0], None, (), {})]):
             findings += gross
             break
         else:  # what leaves more when it is corrected is none
@@ -122,14 +122,22 @@ def search_faults(
     if part is not None:  # what acts there is none of the faults, whatever part of it they explain
         findings, suspected, found = [], [], initial
     joint, left = problem.loop.joint, found.residual
-    if len(findings) == most > 1 and not any(one.test.fault.of_model for one in findings):
-        last = findings[-1].test
+    if findings and findings[-1:] != gross and not any(one.test.fault.of_model for one in findings):
+        last = findings[-1].test if len(findings) == most > 1 or _leaves_more(found) else last
     enough = _LITTLE * max((one.test.strength**2 for one in findings[:1]), default=0.0)
     vague = last is not None and last.strength**2 > enough
     findings = [one for one in findings if last is None or vague or one.test.strength**2 > enough]  # no remainder
     explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)
+
+
+def _leaves_more(found: SolvedLoop) -> bool:
+    """Test whether corrected faults leave more than free linear responses, if these are known."""
+    if found.record is None or found.record.reference is None:
+        return False
+    most = MORE * find_unexplained_share(found.problem, found.record.reference.values)
+    return found.problem.filtered_error(found.residual) > most > 0.0
 
 
 def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:
@@ -327,12 +335,12 @@ def _list_late(problem: ClosedLoopProblem, x: FloatArray, longest: float) -> Seq
             place = 0 if measured else len(laws)  # which lags behind its setpoint
             laws[place:place], place = [(one, near) for one in lags], place + len(lags)
             if lag < longest and not (any(problem.log.seen) or suspects.LOG_DELAY.name in problem.units):
-                *_, alone = find(law, near, log_delay=0.0)
-                (lag, late), near, rest = find(lagging, near, **{_LAG: max(lag, least), "log_delay": 0.0})
-                one = changes.change_time(law, suspects.TORQUE_FILTER, lag)
-                words = f"{one.words}, and its log is {number(1e3 * abs(late), 2)} ms {'late' if late > 0 else 'early'}"
-                one = replace(one, words=words, remedy=f'{one.remedy}, and method.free = ["log_delay"]', late=late)
-                laws[place:place] = [(one, near)] * (abs(late) > least and lag < longest and rest < _LESS * alone)
+                (lag, late), near, rest = find(lagging, begin := near, **{_LAG: max(lag, least), "log_delay": 0.0})
+                if abs(late) > least and lag < longest and rest < _LESS * find(law, begin, log_delay=0.0)[2]:
+                    one, size = changes.change_time(law, suspects.TORQUE_FILTER, lag), number(1e3 * abs(late), 2)
+                    words = f"{one.words}, and its log is {size} ms {'late' if late > 0 else 'early'}"
+                    remedy = f'{one.remedy}, and method.free = ["log_delay"]'
+                    laws.insert(place, (replace(one, words=words, remedy=remedy, late=late), near))
     return laws
 
 

@@ -246,11 +246,10 @@ def identify_record(
                 "has the wrong sign (reverse record.channels.torque.sign), or they do not belong together"
                 f"{''.join(f'; {note}' for note in said)}."
             )
-    lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(fit.data.channels) else None
-    if lag is not None:
+    if {"motor_position", "load_position"} <= {*fit.data.channels} and (lag := find_encoder_lag(record)) is not None:
         late = f"{lag[0]} seems {number(1e3 * lag[1], 2)} ms late, which hides the spring"
         hidden = {"parameters": ["stiffness", "damping"], "lag": lag[1]}
-        check = check_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, late, hidden)
+        check = check_of(Subject.ENCODERS, False, Reason.ENCODER_LAG, late, hidden, f"correct the stamps of {lag[0]}")
         fit = replace(fit, checks=(*fit.checks, check))
     return replace(fit, records=() if others else (record,)).warn(*dict.fromkeys(said))
 

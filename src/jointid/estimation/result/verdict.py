@@ -126,11 +126,12 @@ class Check(Message):
 
 
 def check_of(
-    name: Subject, passed: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
+    name: Subject, passed: bool | None, code: Reason, said: str, values: Mapping[str, object] = {}, remedy: str = ""
 ) -> Check:
-    """Check of one statement: failed with `code`, passed, or not tested (None)."""
+    """Check of one statement: failed with `code` and a `remedy`, passed, or not tested (None)."""
     codes = {True: Reason.PASSED, False: code, None: Reason.NOT_TESTED}
-    return Check(codes[passed], said, values or {}, name=name, passed=passed)
+    more = {"remedy": remedy} if remedy and passed is False else {}
+    return Check(codes[passed], said, {**values, **more}, name=name, passed=passed)
 
 
 def checks_of(name: Subject, passed: bool | None, *said: Message) -> tuple[Check, ...]:
@@ -214,7 +215,7 @@ def _replace(checks: Sequence[Check], by: Sequence[Check]) -> tuple[Check, ...]:
 
 def _check_numbers(estimate: Estimate) -> Iterator[Check]:
     fit, known, agreement = estimate.fit, estimate.known, estimate.agreement
-    yield check_of(Subject.SOLVER, fit.converged, Reason.SEARCH_ENDED, fit.stop)
+    yield check_of(Subject.SOLVER, fit.converged, Reason.SEARCH_ENDED, fit.stop, {}, "give method.frequency or a start")
     errors = fit.axis_errors or {"": fit.filtered_error}
     worst = max(errors, key=lambda axis: errors[axis])
     said = f"{number(100 * errors[worst], 2)} % of the {estimate.signal}{' of ' * bool(worst)}{worst} is not explained"
@@ -226,10 +227,10 @@ def _check_numbers(estimate: Estimate) -> Iterator[Check]:
         yield from checks_of(Subject.IDENTIFIABILITY, not known.limitations, *(known.limitations or (good,)))
     yield _check_bounds(estimate)
     if agreement is not None and agreement.p_value is not None:
-        name, code = Subject.AGREEMENT, Reason.RECORDS_DISAGREE
+        name, code, remedy = Subject.AGREEMENT, Reason.RECORDS_DISAGREE, "leave out the record that differs (--details)"
         if estimate.data.windows is not None:
-            name, code = Subject.DRIFT, Reason.DRIFTS
-        yield check_of(name, not agreement.differs, code, str(agreement), {"parameters": [*agreement.names]})
+            name, code, remedy = Subject.DRIFT, Reason.DRIFTS, 'take shorter windows, or declare friction = "drifting"'
+        yield check_of(name, not agreement.differs, code, str(agreement), {"parameters": [*agreement.names]}, remedy)
     springs = [row for row in estimate.rows if row.axis and row.name.endswith(".stiffness") and row.free]
     if springs:
         said = "{0.axis}: the records do not show a spring; its stiffness is at least {0.lower_bound:.3g} {0.unit}"
@@ -247,11 +248,11 @@ def _check_bounds(estimate: Estimate) -> Check:
             if sum(rows[name].value or 0.0 for name in names) < -INTERVAL * spread:
                 driving[axis] = None
     if driving:
-        said = f"the friction of {join([*driving])} is negative: check the signs of torque, motor position and gear"
-        return check_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"axes": [*driving]})
+        said, remedy = f"the friction of {join([*driving])} is negative", "check the signs of torque, position and gear"
+        return check_of(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"axes": [*driving]}, remedy)
     touched = [row.name for row in estimate.rows if row.at_bound is not None]
     said = f"{join([*map(in_words, touched)] or ['no parameter'])} at a bound"
-    return check_of(Subject.BOUNDS, not touched, Reason.AT_BOUND, said, {"parameters": touched} if touched else None)
+    return check_of(Subject.BOUNDS, not touched, Reason.AT_BOUND, said, {"parameters": touched} if touched else {})
 
 
 def residual_checks(white: Whiteness | None, repeats: Repeatable) -> tuple[Check, Check]:
