@@ -1,9 +1,12 @@
 """Drive-side identification where the truth is known: recovery, lags, and intervals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.estimation.methods import drive_side
 from jointid.estimation.methods.drive_side import motion_problem
 from jointid.estimation.parameters import log_delay
 from jointid.estimation.problems.simulated import ClosedLoopProblem
@@ -43,6 +46,18 @@ def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
     assert estimate["log_delay"].value == pytest.approx(-1e-3, abs=2e-6)
 
 
+def test_the_spring_of_a_long_record_is_searched_along_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
+    def search(problem: ClosedLoopProblem, *_: object) -> None:
+        raise ji.MethodError(str(len(problem.measured)))
+
+    monkeypatch.setattr(drive_side, "search_spring", search)
+    record = twin("L19", noise="none").record.without("reference", "injected")
+    for times, size in ((1, "24000"), (5, "[67]....")):
+        channels = {name: replace(one, values=np.tile(one.values, times)) for name, one in record.items()}
+        with pytest.raises(ji.MethodError, match=f"^{size}$"):
+            ji.identify(record.with_channels(channels), JOINT, ji.DriveSideFit(), filtering=FILTERING)
+
+
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     """A rigid joint that is light, slow and noisy; with little noise its inertia is told."""
     joint = ji.RigidJoint("prismatic")
@@ -62,11 +77,10 @@ def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
 def test_a_load_that_sticks_is_identified() -> None:
     truth = TABLE_2 | {"load_coulomb": 45.0}
     loop = ji.ClosedLoop(JOINT, CONTROLLERS["L19"])
-    reference = ji.excitation.trapezoids(
-        speeds=(0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.3
-    )
+    reference = ji.excitation.trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, rest=0.3)
     known = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
-    run = ji.simulate(loop, prepare(loop, _driven(reference, known)), truth)
+    driven = Record(reference=Channel(reference, "m", 1e-3), injected=Injection(Channel(known, "N", 1e-3, Timing.HELD)))
+    run = ji.simulate(loop, prepare(loop, driven), truth)
     assert run.load_velocity is not None
     assert np.mean(run.load_velocity == 0) > 0.05
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, injected=known)
@@ -75,10 +89,6 @@ def test_a_load_that_sticks_is_identified() -> None:
     estimate = ji.identify(record, JOINT, ji.DriveSideFit(), filtering=filtering)
     for name, value in truth.items():
         assert estimate[name].value == pytest.approx(value, rel=2e-3), name
-
-
-def _driven(reference: np.ndarray, known: np.ndarray) -> Record:
-    return Record(reference=Channel(reference, "m", 1e-3), injected=Injection(Channel(known, "N", 1e-3, Timing.HELD)))
 
 
 def test_the_slopes_of_the_residual_are_those_of_differences() -> None:

@@ -51,9 +51,7 @@ ESTIMATE = Estimate(
     ),
     warnings=("something to know",),
     data=Data(channels=("torque", "reference"), record="run 1", sample_time=1e-3, torque_unit="N", fingerprints=("",)),
-    settings=Settings(
-        method="didim", variant="DIDIM", system=LOOP.joint, loop=LOOP, filtering=Filtering().resolve(1e-3)
-    ),
+    settings=Settings("didim", "DIDIM", LOOP.joint, LOOP, Filtering().resolve(1e-3)),
 )
 
 

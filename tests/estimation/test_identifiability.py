@@ -90,9 +90,8 @@ def test_combinations_without_an_effect_are_stated_one_by_one() -> None:
     joint = FlexibleJoint("prismatic")
     parameters = [p for p in joint.parameters if p.name.endswith(("viscous", "coulomb")) or p.name == "offset"]
     units = {p.name: joint.unit(p) for p in parameters}
-    columns = dict(
-        zip(("viscous", "coulomb", "offset"), np.random.default_rng(4).standard_normal((3, 500)), strict=True)
-    )
+    drawn = np.random.default_rng(4).standard_normal((3, 500))
+    columns = dict(zip(("viscous", "coulomb", "offset"), drawn, strict=True))
     J = np.column_stack([columns[p.name.removeprefix("motor_").removeprefix("load_")] for p in parameters])
     found = identifiability(parameters, units, np.ones(5), J, white(J, residual(500)))
     pairs = sorted(one.values["parameters"] for one in found.limitations)
@@ -131,8 +130,7 @@ def test_the_sums_of_every_joint() -> None:
     units = {p.name: joint.unit(p) for p in joint.parameters}
     formulas = [c.formula for c in sums_of(joint.parameters, units)]
     assert formulas == ["ZZ1 + ZZ2", "Fv1+ + Fv2+", "Fc1+ + Fc2+", "Fv1- + Fv2-", "Fc1- + Fc2-"]
-    assert not sums_of(
-        RigidJoint("prismatic").parameters, dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), "")
-    )
+    rigid = RigidJoint("prismatic").parameters
+    assert not sums_of(rigid, dict.fromkeys((p.name for p in rigid), ""))
     held = tuple(p for p in joint.parameters if p.name != "load_inertia")
     assert "ZZ1 + ZZ2" not in [c.formula for c in sums_of(held, units)]

@@ -236,9 +236,7 @@ def test_noise_of_a_difference_is_not_counted_at_low_frequencies(equations: int)
         found.append(Influence(W, left, equations=equations).robust().std)
         smeared.append(Influence(W, left, equations=equations).by_time().std)
     smooth = [0, 2, 3]  # what jumps sees fast noise, too
-    ratio = (
-        np.sqrt(np.mean(np.square(each), axis=0) / np.mean(np.square(errors), axis=0)) for each in (found, smeared)
-    )
+    ratio = (np.sqrt(np.mean(np.square(std), axis=0) / np.mean(np.square(errors), axis=0)) for std in (found, smeared))
     whitened, before = (each[smooth] for each in ratio)
     assert np.all((whitened > 0.85) & (whitened < 0.8 * before))
 

@@ -22,9 +22,7 @@ from tests.load_friction import lifting_arm
 
 TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "friction_per_torque": 0.1, "offset": 1.5}
 ADDED = 10.0  # kg
-LOOP = ClosedLoop(
-    RigidJoint("prismatic", FRICTIONS["load-dependent"]), Cascade(position_gain=60.0, velocity_gain=500.0)
-)
+LOOP = ClosedLoop(RigidJoint("prismatic", FRICTIONS["load-dependent"]), Cascade(position_gain=60, velocity_gain=500))
 
 
 def slow_record(seed: int, inertia: float) -> Record:

@@ -68,9 +68,7 @@ def test_two_runs_that_differ_say_so_and_what_two_are_worth() -> None:
 def test_a_difference_along_what_both_know_well_is_seen_jointly() -> None:
     """Each parameter by itself agrees; their well-known difference does not."""
     apart = np.array([0.2, -3.0, 0.0])  # against a correlation of +0.9
-    found = compare_records(
-        [run_of(np.array([95.0, 200.0, 20.0])), run_of(np.array([95.0, 200.0, 20.0]) + apart)], UNITS
-    )
+    found = compare_records([run_of(np.array([95, 200.0, 20])), run_of(np.array([95, 200.0, 20]) + apart)], UNITS)
     assert found.differs
     assert not any(p.differs for p in found.parameters)
 

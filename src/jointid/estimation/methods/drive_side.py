@@ -9,7 +9,7 @@ which would smear them. Nor have those about reversals of a rigid joint.
 
 The search is that of a joint under its controller, along another run. Of a rigid joint the torque is linear in all but
 the delay, so that any start will do; a flexible one begins at a rigid one below the resonance
-(`spring_search`).
+(`spring_search`), and its search goes along the beginning of a long record.
 
 A motor in a closed loop responds to disturbances, so its measured motion is correlated with the error, and least
 squares is biased: the intervals are widened for that (`Influence.widen_for_motion`).
@@ -173,7 +173,7 @@ def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, histor
     rigid = motion_problem(records, joint.rigid, slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
-    return history.solve(problem, search_spring(problem, [(values, row)], problem.filtering, history).x)
+    return history.solve(problem, search_spring(problem.roughly(), [(values, row)], problem.filtering, history).x)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:

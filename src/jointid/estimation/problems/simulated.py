@@ -273,7 +273,7 @@ class MotionLog:
         It suffices to find springs: of six joints and 45 s at 1 kHz a search took seven times as long along the whole.
         """
         samples = len(self.motion.a)
-        least = math.ceil(4.0 / self.sample_time)  # s of a record, along which the search begins
+        least = 60_000 if self.tree is None else math.ceil(4.0 / self.sample_time)  # samples of a joint, 4 s of a robot
         if least >= samples:
             return self
         moved = np.cumsum(np.square(self.motion.a), axis=0)
