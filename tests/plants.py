@@ -132,16 +132,13 @@ def with_spring(loop: ClosedLoop, spring: Spring) -> ClosedLoop:
     return replace(loop, joint=replace(loop.joint, spring=spring))
 
 
-def gapped_axis(samples: int = 4000) -> tuple[Case, Record]:
-    """An axis with a gap of 0.6 of the largest wind-up, and its record with 2 % of noise on the log."""
+def sprung_axis(spring: str = "backlash") -> tuple[Case, Record]:
+    """An axis with a spring that shows, and its record with 2 % of noise on the log."""
     case = prismatic(1)
-    clean = cut(case.clean, 0, samples)
-    loop = with_spring(case.loop, Spring("backlash"))
-    run = simulate(case.loop, prepare(case.loop, clean), case.truth)
-    assert run.load_position is not None
-    truth = case.truth | {"gap": 0.6 * float(np.max(np.abs(run.motor_position - run.load_position)))}
+    clean = cut(case.clean, 0, 4000)
+    loop, truth = with_law(replace(case, clean=clean), spring)
     torque = simulate(loop, prepare(loop, clean), truth).torque
-    noise = 0.02 * np.std(torque) * np.random.default_rng(1).standard_normal(samples)
+    noise = 0.02 * np.std(torque) * np.random.default_rng(1).standard_normal(torque.size)
     assert clean.torque is not None
     record = replace(clean, torque=replace(clean.torque, values=torque + noise))
     return replace(case, loop=loop, truth=truth), record

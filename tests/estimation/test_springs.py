@@ -13,18 +13,11 @@ from jointid.estimation.problems.simulated import ClosedLoopProblem
 from jointid.models.springs import Spring
 from studies.mechanics import Spoiled, spoiled
 from tests.estimates import identify
-from tests.plants import gapped_axis, with_spring
-
-
-@pytest.fixture(scope="module")
-def gapped() -> tuple[ji.Estimate, dict[str, float]]:
-    """A drive with a gap of 0.6 of the largest wind-up, 2 % of noise on its log: what is found, and what it has."""
-    case, record = gapped_axis()
-    return identify(record, case.loop, ji.DIDIM(frequency=case.mode)), case.truth
+from tests.plants import sprung_axis, with_spring
 
 
 def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
-    case, record = gapped_axis()
+    case, record = sprung_axis()
     ends, solve = list[Solved](), History.solve
 
     def watch(history: History, problem: ClosedLoopProblem, x: np.ndarray, solver: Any = None) -> Solved:
@@ -46,11 +39,13 @@ def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.M
 
 
 @pytest.mark.slow
-def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
-    found, truth = gapped
-    for name in ("stiffness", "gap", "load_inertia", "motor_inertia"):
+@pytest.mark.parametrize("spring", ["backlash", "cubic-hysteretic", "backlash-cubic"])
+def test_a_spring_is_found_with_the_inertias_beside_it(spring: str) -> None:
+    case, record = sprung_axis(spring)
+    found = identify(record, case.loop, ji.DIDIM(frequency=case.mode))
+    for name in ("load_inertia", "motor_inertia", *(p.name for p in Spring(spring).parameters[:-1])):
         row = found[name]
-        assert abs(row.value - truth[name]) < 3 * row.stderr, name
+        assert abs(row.value - case.truth[name]) < 3 * row.stderr, name
         assert row.stderr < 0.05 * row.value, name
 
 
