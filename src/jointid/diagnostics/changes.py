@@ -289,7 +289,7 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
     far = gear is None and factor > _GEARED
     said = f"the reference is {unit or f'{times} too {other}{geared}'}"
     if far and not unit:
-        said = f"a gear of {number(ratio * factor, 2)}:1 is not declared: add [transmission] with its ratio"
+        said = f"no [transmission] is declared, though the motion asks for a gear of {number(ratio * factor, 2)}:1"
     reference = [Cause("reference_scale", said, 1 / factor)]
     law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
     for causes in (reference, torque, law) if unit or far else (law, torque, reference):

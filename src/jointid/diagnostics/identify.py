@@ -203,8 +203,10 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     try:
         found = diagnose_joint(fit, record, problem, x, **({"explain": explain} if whole else {"most": 1}))
         loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
-        if not whole and found.axes[0].faults.explained is not None:  # it may be the spring that is not identified
-            loop = _untested("not checked, because the joint is not fully identified; identify it as rigid")
+        first = found.axes[0].faults
+        springs = [one for one in first.findings if one.test.fault.reason is Reason.SPRING_NOT_LINEAR]
+        if not whole and (springs or first.explained is not None):  # it may be the spring that is not identified
+            found, loop = None, _untested("not checked: the joint is not fully identified; identify it as rigid")
     except FAILS as error:
         loop = _untested(f"not checked: {error}")
     faults = None if found is None else found.axes[0].faults
