@@ -286,13 +286,9 @@ def _say_factor(of_torque: bool, value: float | None, case: Case) -> Iterator[Ca
     lead = getattr(gear, "lead", None)
     geared = f"a lead of {number(1e3 * lead / factor, 2)} mm" if lead else f"a gear of {number(ratio * factor, 2)}:1"
     geared = f", as by {geared}" if gear is not None or ratio * factor > 1 else ""  # none has less than 1:1
-    far = gear is None and factor > _GEARED
-    said = f"the reference is {unit or f'{times} too {other}{geared}'}"
-    if far and not unit:
-        said = f"no [transmission] is declared, though the motion asks for a gear of {number(ratio * factor, 2)}:1"
-    reference = [Cause("reference_scale", said, 1 / factor)]
+    reference = [Cause("reference_scale", f"the reference is {unit or f'{times} too {other}{geared}'}", 1 / factor)]
     law = [Cause("law_gain", f"the law's gain ({names}) is declared {times} too {other}", factor)]
-    for causes in (reference, torque, law) if unit or far else (law, torque, reference):
+    for causes in (reference, torque, law) if unit or (gear is None and factor > _GEARED) else (law, torque, reference):
         if case.record.injected is None or (causes is torque) is of_torque:
             yield from causes
 

@@ -203,19 +203,21 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     try:
         found = diagnose_joint(fit, record, problem, x, **({"explain": explain} if whole else {"most": 1}))
         loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
-        first = found.axes[0].faults
-        springs = [one for one in first.findings if one.test.fault.reason is Reason.SPRING_NOT_LINEAR]
-        if not whole and (springs or first.explained is not None):  # it may be the spring that is not identified
-            found, loop = None, _untested("not checked: the joint is not fully identified; identify it as rigid")
     except FAILS as error:
         loop = _untested(f"not checked: {error}")
-    faults = None if found is None else found.axes[0].faults
+    faults = None if found is None or not whole else found.axes[0].faults
     apart = find_part_of_loop(problem, x, record) if faults is None else faults.part
     if apart is not None:
-        return _fail(apart), said, found
+        return _fail(apart), said, found if whole else None
     if explain(None if faults is None else faults.findings):
-        return _fail(*(one.message for one in searched if one is not None)), said, found
+        return _fail(*(one.message for one in searched if one is not None)), said, found if whole else None
     law = None if found is None else found.axes[0].law
+    if found is not None and not whole:  # a fault of the spring is none where the spring is not identified
+        seen = found.axes[0].faults
+        of_spring = any(one.test.fault.reason is Reason.SPRING_NOT_LINEAR for one in seen.findings)
+        if of_spring or seen.explained is not None or seen.part is not None:
+            why = "not checked, because the joint is not fully identified; identify it as rigid"
+            found, loop = None, _untested(why) if law is None else checks_of(Subject.LOOP, law.holds, law.agreement)
     named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
     of_joint = all(fault.of_model for one in named for fault in (one.test.fault, *one.test.alike))
@@ -396,6 +398,6 @@ def _widening(what: str, by: Mapping[str, float], rows: Mapping[str, EstimatedPa
     off = [
         f"{in_words(name)} by {number(2 * abs(by[name]), 2)} {row.unit}".rstrip()
         for name, row in rows.items()
-        if abs(by.get(name, 0.0)) > TOLD * (row.stderr or 0.0)
+        if row.stderr and abs(by.get(name, 0.0)) > TOLD * row.stderr
     ]
     return dict(by), f"{what} may move {join(off)}, which the intervals hold{remedy}" if off else ""

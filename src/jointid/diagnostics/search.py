@@ -136,8 +136,10 @@ def _leaves_more(found: SolvedLoop) -> bool:
     """Test whether corrected faults leave more than free linear responses, if these are known."""
     if found.record is None or found.record.reference is None:
         return False
-    most = MORE * find_unexplained_share(found.problem, found.record.reference.values)
-    return found.problem.filtered_error(found.residual) > most > 0.0
+    with contextlib.suppress(np.linalg.LinAlgError):  # of a reference that does not move
+        most = MORE * find_unexplained_share(found.problem, found.record.reference.values)
+        return found.problem.filtered_error(found.residual) > most > 0.0
+    return False
 
 
 def _find(found: SolvedLoop, test: FaultTest) -> tuple[Finding, SolvedLoop]:

@@ -249,7 +249,7 @@ def first_positions(problem: ClosedLoopProblem, start: Mapping[str, float], hist
 
 # Laws that are not linear
 
-_STARTS = 16  # of a search, at most: terms that combine multiply theirs
+_STARTS = 16  # of a search, at most; steps of seven share no factor with the two, three or four starts of a term
 
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
@@ -310,4 +310,4 @@ def law_starts(
     still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
     stated = {name: start for name, start in given.items() if start is not None}
     each = [{**still, **values, **spring, **own, **stated} for spring, own in product(springs, frictions)]
-    return each[:: -(-len(each) // _STARTS)]
+    return [each[7 * k % len(each)] for k in range(_STARTS)] if len(each) > _STARTS else each

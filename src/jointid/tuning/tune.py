@@ -187,7 +187,7 @@ def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: A
     if estimate.bounds:
         raise MethodError(
             f"The stiffness is refused, and margins need the joint's mode: {estimate.data.record} does not show it. "
-            "record stronger ramps or pulses on the torque, or identify the joint as rigid."
+            "Record stronger ramps or pulses on the torque, or identify the joint as rigid."
         )
     joint.require_linear("Tuning takes", spring_alone=True)
     controller = None if estimate.settings.loop is None else estimate.settings.loop.controller

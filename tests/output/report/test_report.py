@@ -79,7 +79,7 @@ def test_the_date_is_that_of_the_file(emps_path: Path, tmp_path: Path) -> None:
 def test_a_report_is_written_whatever_ends_its_tuning(raised: type[Exception], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ji, "tune", Mock(side_effect=raised("by design")))
     estimate, record = reports.rigid().estimate, reports.rigid_record()[0]
-    assert Report.of(estimate, record, profiles=[], tuning=True).absent == {"tuned": "by design"}
+    assert Report.of(estimate, record, profiles=[], tuning=True).absent == {"tuning": "by design"}
     with pytest.raises(ji.MethodError, match="relied"):
         _tune(Mock(**{"answer.trust.code": "not_reliable_yet"}))
 

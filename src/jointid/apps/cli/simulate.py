@@ -72,7 +72,7 @@ def design(
         record, model = options.identify(file, whole=True)
         if record.torque is not None and None in [p.value for p in model.rows if p.of_joint]:
             # What is refused is planned for by the declared starts, with the noise that the estimate leaves.
-            noise = {"log": model.fit.relative_error * float(record.torque.values.std())}
+            noise = {"log": model.fit.relative_error * float((record.torque.values**2).mean() ** 0.5)}
             asked |= {"values": file.axis.values(), "noise": noise, "parameters": file.parameters}
             model, asked["filtering"] = file.loop, file.filtering
         found = run(model, record, **asked)

@@ -173,7 +173,7 @@ async def work(place: Path, seconds: int, out: str, *words: str) -> None:
     said = (place / "_progress.txt").read_bytes()[start:].decode("utf-8", "replace")
     if code < 0 or (code and "MemoryError" in said):
         raise PageError(
-            f"It needs more memory than this page allows or {seconds} s of processor, or was ended from outside; "
+            f"It needs more memory than this page allows, or more than {seconds} s of processor, or was ended; "
             "cut the record, resample it slower, or use a command, without such bounds: jointid identify --window."
         )
     if code:

@@ -54,8 +54,8 @@ def _lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
     if {trust.code, *reasons[:1]} & {*unseen, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES}:
         yield "next", "record a motion that shows it" + ": jointid design plans one" * (trust.code != Trust.REFUSED)
     elif wrong:
-        remedies = (remedy for one in wrong if (remedy := one.values.get("remedy")))
-        yield "next", f"{next(remedies, 'correct what the first line names')}, and identify again"
+        remedy = wrong[0].values.get("remedy") or "correct what the first line names"
+        yield "next", f"{remedy}, and identify again"
     elif estimate.motion_measured:  # another record has the same bias
         yield "next", "give its controller, and identify by DIDIM"
     else:

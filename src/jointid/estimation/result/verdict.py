@@ -215,7 +215,7 @@ def _replace(checks: Sequence[Check], by: Sequence[Check]) -> tuple[Check, ...]:
 
 def _check_numbers(estimate: Estimate) -> Iterator[Check]:
     fit, known, agreement = estimate.fit, estimate.known, estimate.agreement
-    yield check_of(Subject.SOLVER, fit.converged, Reason.SEARCH_ENDED, fit.stop, {}, "give method.frequency or a start")
+    yield check_of(Subject.SOLVER, fit.converged, Reason.SEARCH_ENDED, fit.stop, {}, "give a start in [parameters]")
     errors = fit.axis_errors or {"": fit.filtered_error}
     worst = max(errors, key=lambda axis: errors[axis])
     said = f"{number(100 * errors[worst], 2)} % of the {estimate.signal}{' of ' * bool(worst)}{worst} is not explained"
@@ -229,7 +229,7 @@ def _check_numbers(estimate: Estimate) -> Iterator[Check]:
     if agreement is not None and agreement.p_value is not None:
         name, code, remedy = Subject.AGREEMENT, Reason.RECORDS_DISAGREE, "leave out the record that differs (--details)"
         if estimate.data.windows is not None:
-            name, code, remedy = Subject.DRIFT, Reason.DRIFTS, 'take shorter windows, or declare friction = "drifting"'
+            name, code, remedy = Subject.DRIFT, Reason.DRIFTS, "take shorter windows, or a part with drifting friction"
         yield check_of(name, not agreement.differs, code, str(agreement), {"parameters": [*agreement.names]}, remedy)
     springs = [row for row in estimate.rows if row.axis and row.name.endswith(".stiffness") and row.free]
     if springs:

@@ -127,7 +127,7 @@ class Report:
             try:
                 found[part] = compute()
             except (JointidError, LinAlgError) as error:  # a refused parameter, say: the report is written all the same
-                absent[part] = str(error)
+                absent["tuning" if part == "tuned" else part] = str(error)
         channels = dict(record.items())
         return cls(estimate, checked, tuple(checks), name, again, channels=channels, absent=absent, **found)
 
