@@ -383,7 +383,7 @@ OF_REFERENCE = (REFERENCE_DELAY, AVERAGED, TORQUE_FILTER, DEAD_TIME, *INTERPOLAT
 _TIMED = {
     AVERAGED: ("reference_average", "the drive averages the reference over {} ms"),
     REFERENCE_DELAY: ("reference_delay", "the law sees the reference {} ms late"),
-    TORQUE_FILTER: ("torque_filters", "the torque passes a filter, such as one of first order with {} ms, or a notch"),
+    TORQUE_FILTER: ("torque_filters", "the torque passes a notch, or a filter such as one of first order with {} ms"),
     DEAD_TIME: ("delay", "the torque is late, as by a dead time of the drive, by {} ms"),
 }  # fmt: skip
 OPEN = (PRESENT_SAMPLE, PERIOD, *INTERPOLATIONS.values())  # those that are said where a record does not exclude them

@@ -54,8 +54,8 @@ def _lines(estimate: Estimate) -> Iterator[tuple[str, str]]:
     if {trust.code, *reasons[:1]} & {*unseen, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES}:
         yield "next", "record a motion that shows it" + ": jointid design plans one" * (trust.code != Trust.REFUSED)
     elif wrong:
-        remedy = wrong[0].values.get("remedy") or "correct what the first line names"
-        yield "next", f"{remedy}, and identify again"
+        remedies = (one.values.get("remedy") for one in wrong[: 1 if wrong[0].name == Subject.LOOP else None])
+        yield "next", f"{next(filter(None, remedies), 'correct what the first line names')}, and identify again"
     elif estimate.motion_measured:  # another record has the same bias
         yield "next", "give its controller, and identify by DIDIM"
     else:
