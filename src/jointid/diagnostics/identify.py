@@ -212,10 +212,10 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     if explain(None if faults is None else faults.findings):
         return _fail(*(one.message for one in searched if one is not None)), said, found if whole else None
     law = None if found is None else found.axes[0].law
-    if found is not None and not whole:  # a fault of the spring is none where the spring is not identified
+    if found is not None and not whole:  # what the joint lacks may be the spring that is not identified
         seen = found.axes[0].faults
-        of_spring = any(one.test.fault.reason is Reason.SPRING_NOT_LINEAR for one in seen.findings)
-        if of_spring or seen.explained is not None or seen.part is not None:
+        lacking = any(one.test.fault.reason is not Reason.LOOP_NOT_AS_DECLARED for one in seen.findings)
+        if lacking or seen.explained is not None or seen.part is not None:
             why = "not checked, because the joint is not fully identified; identify it as rigid"
             found, loop = None, _untested(why) if law is None else checks_of(Subject.LOOP, law.holds, law.agreement)
     named = () if faults is None else faults.findings
