@@ -244,7 +244,7 @@ class Axis:
         if missing:
             raise MethodError(
                 f"This needs a value of every parameter; without one: {', '.join(missing)}. Give each a value or a "
-                "start in [parameters], or --identified with a record that shows it."
+                "start in [parameters]; jointid simulate --identified takes them from a record."
             )
         return {p.name: float(p.start) for p in parameters if p.start is not None}
 
