@@ -378,8 +378,8 @@ def _find_names(file: str, above: Sequence[str], dialect: Dialect, closed: bool,
         return [""] * width  # a remark, or the last line of a preamble
     if not fits or (header is None and has_number):
         raise RecordError(
-            f'{file}: the line "{short(above[-1])}" stands above the first row of {pluralise(width, "column")} and '
-            "does not name them; mend it, or give header = true if it holds names, false if it is a remark."
+            f'{file}: the line "{short(above[-1])}" does not name {pluralise(width, "column")}; put semicolons between '
+            "decimal commas, or give header = true if it holds names, false if it is a remark."
         )
     over = dialect.split(above[-2]) if len(above) > 1 else []
     units = [cell[1:-1] if cell[:1] + cell[-1:] in ("[]", "()") else cell for cell in names]
