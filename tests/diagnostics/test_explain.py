@@ -17,6 +17,7 @@ from jointid.diagnostics.changes import _IS_ABOUT, CHANGES, _say_factor, _say_nu
 from jointid.diagnostics.explain import Case, Cause, explain_failure, find_causes, is_small, list_cases
 from jointid.diagnostics.model_free import find_plain_cause, find_unexplained_share
 from jointid.diagnostics.score import SolvedLoop
+from jointid.diagnostics.suspects import FAULTS
 from jointid.estimation.problems.simulated import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.verdict import Reason, Subject
 from jointid.estimation.spring_search import _mode_of
@@ -24,6 +25,7 @@ from jointid.models.controllers import Cascade, FirstOrder, Notch, with_numbers
 from jointid.models.friction import Friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.paper.twin import twin
+from jointid.records.record import Tap
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.healthy import drive
@@ -251,7 +253,7 @@ FIRST: dict[str, tuple[str, tuple[Edit, ...]]] = {  # of 24 mistakes, and of wha
     "torque filter": ("torque_filter", (has(torque_filters=(FirstOrder(1.5e-3),)),)),
     "notch": ("notch", (has(torque_filters=(Notch(60.0, 84.0, 0.15),)),)),
     "dead time": ("delay", (has(delay=1e-3),)),
-    "log late": ("log_delay", (log("torque", late_by(2)),)),
+    "log late": ("log_delay", (has(delay=1e-3), declares(delay=1e-3), log("torque", late_by(1)))),
     "limit": ("limit", (has(limit=2.4),)),
     "period": ("period", (has(period=1.25e-4),)),
     "velocity filter": ("velocity_filter", (has(velocity_filter=FirstOrder(3e-3)),)),
@@ -283,8 +285,11 @@ def test_the_first_cause_is_the_mistake(name: str) -> None:
     record = run_spring(8.0, replace(OWN, controller=one.law))
     for change in one.edits:
         record = change(record)
-    named, said = tell(without_positions(record), ClosedLoop(one.model, one.declared))
+    record, loop = without_positions(record), ClosedLoop(one.model, one.declared)
+    named, said = tell(record, loop)
     assert named[:1] == ((first,) if first else ()), said
+    if name == "log late":  # as an actual torque is, by the delay
+        assert 'tap = "measured"' in FAULTS["log_delay"].remedy and not tell(replace(record, tap=Tap.MEASURED), loop)[0]
     assert ("You can rely" in said) is (first == "" and name != "wrong column")
     assert "1/min" in said or name != "Kv in 1/min"
 

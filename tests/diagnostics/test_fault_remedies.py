@@ -11,6 +11,7 @@ from jointid.diagnostics.suspects import FAULTS, AxisFaults, Fault, FaultTest, F
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
+from jointid.records.record import Tap
 
 
 def told(fault: Fault) -> Message:
@@ -30,5 +31,5 @@ def test_commands_and_laws_of_a_remedy_are_those_of_the_program(fault: Fault) ->
     for command in re.findall(r"jointid ([a-z-]+)", said):
         assert list(app.parse_commands([command])[0]) == [command]
         app.parse_args([command, "joint.toml"], exit_on_error=False, print_error=False)
-    for law in re.findall(r'(?:spring|friction) = "([\w-]+)"', said):
-        assert law in (*SPRINGS, *FRICTIONS)
+    for value in re.findall(r'(?:spring|friction|tap) = "([\w-]+)"', said):
+        assert value in (*SPRINGS, *FRICTIONS, *Tap)

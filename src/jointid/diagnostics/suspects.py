@@ -511,7 +511,7 @@ DELAY = _number("delay", "delay of the torque", measure="ms")
 REFERENCE_DELAY = _number("reference_delay", "reference delay", measure="ms")
 LOG_DELAY = _number(  # of a loop its derivative is exact
     "log_delay", "delay of the log behind its time stamps", measure="ms",
-    remedy="correct the time stamps of the torque, or of what it is compared with",
+    remedy='correct the time stamps of the torque or of the positions, or declare tap = "measured" of an actual value',
     columns=lambda seen: [(None, -np.gradient(seen.torque, seen.sample_time))] if seen.loop is None else [],
 )  # fmt: skip
 LOG_GAIN = _number("log_gain", "size of the logged torque", remedy="check its unit and the torque constant")
