@@ -167,6 +167,7 @@ def test_a_finger_that_follows_another_is_locked_with_it() -> None:
     text = URDF.replace("</robot>", finger)
     robot, _ = read_robot(text, locked={"lift": 0.02, "finger": 0.02})
     assert robot.names == ("turn",) and robot.inertials[0, 0] == 7.0
+    assert read_robot(text.replace('finger" type="continuous"', 'finger" type="fixed"'))[0].names == ("turn", "lift")
     with pytest.raises(JointFileError):
         read_robot(text)
     with pytest.raises(JointFileError, match="finger follows none"):

@@ -287,7 +287,7 @@ def _ties(root: ET.Element) -> Iterator[set[str]]:
             at = parents.get(at)
         return found
 
-    for joint in root.iter("joint"):
+    for joint in (one for one in root.iter("joint") if one.get("type") != "fixed"):
         for mimic in joint.findall("mimic"):
             yield {joint.get("name", ""), mimic.get("joint", "")}
     for tie in (one for equality in root.iter("equality") for one in equality if one.get("active") != "false"):
