@@ -29,6 +29,7 @@ from jointid.tuning.proposals import with_gains
 from jointid.tuning.tune import Tuned, tune
 from studies.margins import random_drive, true_margins
 from tests.estimates import amended, identify
+from tests.joint_files import CHANNELS, JOINT
 
 PERIOD = 1e-3
 REFERENCE = trapezoids((0.05, 0.12), 0.8, 0.2, PERIOD, duration=6.0)
@@ -71,22 +72,9 @@ def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estima
 
 
 def test_a_controller_in_ampere_is_told_in_ampere() -> None:
-    text = """
-[joint]
-kind = "prismatic"
-torque_constant = "5 N/A"
-[record.channels]
-torque = { column = "i", unit = "A" }
-reference = { column = "r" }
-[controller]
-law = "pid"
-position_gain = "8000 A/m"
-derivative_gain = "400 A s/m"
-integral_gain = "20000 A/(m s)"
-"""
-    file = loads(text)
-    assert file.controller is not None
-    estimate = rigid(file.controller)
+    text = JOINT + 'torque_constant = "5 N/A"\n' + CHANNELS.replace('"i"', '"i", unit = "A"')
+    gains = 'position_gain = "8000 A/m"\nderivative_gain = "400 A s/m"\nintegral_gain = "20000 A/(m s)"\n'
+    estimate = rigid(loads(f'{text}[controller]\nlaw = "pid"\n{gains}').controller)
     tuned = tune(estimate, notch=False)
     assert [gain.key for gain in tuned.gains] == ["position_gain", "derivative_gain", "integral_gain"]
     assert [gain.unit for gain in tuned.gains] == ["A per m", "A per m/s", "A per m s"]

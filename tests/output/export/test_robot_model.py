@@ -13,7 +13,7 @@ from jointid.config.robot_model import read_robot
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.models.springs import Spring
 from jointid.output.export import export
-from tests.estimation.robots.twin import arm
+from tests.estimation.robots.twin import arm, identified, records_of
 from tests.models.robots.trees import by_mujoco, inverse_dynamics, random_robot
 
 mujoco = pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -40,6 +40,14 @@ def test_what_is_written_has_the_same_torque(robot: Robot, name: str) -> None:
     if name == "found.xml":
         assert found.of_joints("rotor_inertia").sum() == pytest.approx(robot.of_joints("rotor_inertia").sum())
     assert any("rotors" in one for one in lost) == (name == "found.urdf")
+
+
+def test_a_rotor_that_noise_makes_negative_is_written_as_one_that_may_be() -> None:
+    bare = replace(arm(3), joints=tuple(replace(one, rotor_inertia=0.0) for one in arm(3).joints))
+    estimate = identified(arm(3), records_of(bare, 3, noise=0.05))
+    assert estimate["joint3.rotor_inertia"].value < 0.0
+    found, _ = read_robot(ji.export(estimate, "mjcf").text)
+    assert np.all(found.of_joints("rotor_inertia") >= 0.0)
 
 
 def test_what_is_lost_is_said() -> None:
