@@ -95,9 +95,9 @@ def test_no_time_constant_is_near_a_filter_of_another_kind_and_a_late_log_is_tol
 def test_a_search_takes_the_beginning_of_a_long_record_that_moves_both_ways() -> None:
     record, _ = without_mistake(axis("fast"))  # of 8 s, at 4 kHz
     moves = np.argmax(np.diff(record.reference.values) != 0.0) / 4e3
-    assert searching.begin_record(record, 5.0).duration == pytest.approx(moves + 5.0, abs=1e-3)
+    assert searching.begin_records([record], 5.0)[0].duration == pytest.approx(moves + 5.0, abs=1e-3)
     one_way = record.with_channels({"reference": replace(record.reference, values=np.arange(32_000.0))})
-    assert searching.begin_record(one_way, 5.0) is one_way and searching.begin_record(record, 9.0) is record
+    assert all(searching.begin_records(each, to) is each for each, to in (([one_way], 5.0), ([record], 9.0)))
 
 
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:

@@ -13,7 +13,7 @@ from jointid.diagnostics.search import find_part
 from jointid.estimation.result.verdict import Reason, Subject
 from studies import healthy, robot_mistakes
 from tests.estimates import beside_tables, faults_of
-from tests.frozen.cases import faulty
+from tests.frozen.cases import faulty, robot
 
 STEP, BEGIN, END = 1e-3, 3.0, 3.8  # s, of the log and of a push
 LOOP = ji.ClosedLoop(
@@ -59,6 +59,7 @@ def test_the_checks_of_a_long_record_read_its_beginning_and_diagnose_reads_all(m
         assert whole.torques.time[-1] > 7.0
     (loop,) = ji.identify(pushed(0.2).without("motor_position"), LOOP).about(Subject.LOOP)
     assert loop.code is Reason.MISFIT_IN_PART  # which is seen in all of the record
+    assert all(2.2 < robot(2, False, way, 1).diagnosis.torques.time[-1] < 3.0 for way in ("loop", "inverse"))
 
 
 def test_a_fault_that_no_correction_lowers_is_not_dropped_beside_a_weaker_friction(monkeypatch: Any) -> None:

@@ -88,7 +88,7 @@ def diagnose(
     if isinstance(model, Estimate):
         raise MethodError("An estimate has its own diagnosis; give the loop, the joint or the robot to identify.")
     axes = _list_axes(record, model)
-    _, first, loop = axes[0]
+    (_, first, loop), each = axes[0], [own for _, own, _ in axes]
     symptoms = [Symptom("remark", one, spoils=False) for one in first.remarks]
     if first.resampled is not None and (first.resampled.rms > 0.1 or first.resampled.gaps > 0):
         symptoms.append(Symptom("clock_uneven", f"the clock is uneven: resampled {first.resampled}"))
@@ -96,7 +96,7 @@ def diagnose(
     found, compared = Diagnosis(first.name), list[LawComparison]()
     if not any(one.code in _ENOUGH for one in symptoms):
         try:
-            if loop is not None and len(axes) == 1 and begin_checked(first, loop) is not first:
+            if begin_checked(each, [one.controller for *_, one in axes if one is not None]) is not each:
                 search = partial(identify, checks="whole")
             estimate = search(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
         except JointidError as error:
@@ -108,7 +108,7 @@ def diagnose(
             found = made if isinstance(made, Diagnosis) else found
             if found.axes and not isinstance(model, RobotLoop) and any(one is not None for one in controllers):
                 with contextlib.suppress(JointidError):  # the diagnosis that was made stands
-                    found = diagnose_robot(estimate, [own for _, own, _ in axes], controllers)
+                    found = diagnose_robot(estimate, each, controllers)
     if laws and isinstance(record, Record) and loop is not None:
         settings = method if isinstance(method, DIDIM) else None
         kinds: tuple[Literal["spring", "friction"], ...] = ("spring", "friction")

@@ -33,7 +33,7 @@ from jointid.estimation.result.verdict import Reason, Subject
 from jointid.models.controllers import Controller
 from jointid.models.controllers.servo_base import require_one_each
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.robots.robot import Link, RobotLoop
+from jointid.models.robots.robot import RobotLoop
 from jointid.records.record import Record
 from jointid.simulation.controller_torque import SOURCE
 from jointid.uncertainty.model_tests import Whiteness
@@ -248,12 +248,9 @@ def diagnose_robot(
     if not controllers and isinstance(part.setup, RobotLoop):
         controllers = part.setup.controllers
     require_one_each(controllers, len(robot))
-
-    def follow(axis: tuple[Link, Record, Controller | None]) -> LawOnPosition | None:
-        link, record, law = axis
-        return None if law is None else compare_law(record, ClosedLoop(RigidJoint(link.kind), law))
-
-    laws = in_threads(follow, list(zip(robot.links, records, controllers or [None] * len(robot), strict=True)))
+    each = zip(robot.links, records, controllers or [None] * len(robot), strict=True)
+    loops = [(record, None if law is None else ClosedLoop(RigidJoint(link.kind), law)) for link, record, law in each]
+    laws = in_threads(lambda one: None if one[1] is None else compare_law(one[0], one[1]), loops)
     units = [(robot.position_unit(k), robot.torque_unit(k)) for k in range(len(robot))]
     try:
         faults = search_axes(torques, units)

@@ -223,10 +223,8 @@ def find_causes(
     responses = 0.0 if posed is None else model_free.find_unexplained_share(posed, declared.reference.values)
     if responses > _UNRELATED and not loop.joint.forces:  # those of the position answer no reference
         return Causes(left, unexplained=responses)
-    declared = replace(declared, record=begin_record(
-        record, max(_SECONDS, _ENOUGH * max(declared.period, min(declared.torque.sample_time, _FASTEST)))
-    ))  # fmt: skip
-    tried = list_cases(declared)
+    seconds = max(_SECONDS, _ENOUGH * max(declared.period, min(declared.torque.sample_time, _FASTEST)))
+    declared, *_ = tried = list_cases(replace(declared, record=begin_records([record], seconds)[0]))
     progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
     flexible = loop.joint.model == "flexible"  # and rigid far below its resonance
     solved: dict[str, Any] = {} if estimate is None else {row.name: row.value for row in estimate.rows}
@@ -276,15 +274,17 @@ def find_causes(
     return Causes(left, () if more else explaining, best if more else None, responses)
 
 
-def begin_record(record: Record, seconds: float) -> Record:
-    """The beginning of a record, from its first motion on; itself if that moves one way, or is no shorter."""
-    asked = record.reference or record.motor_position
-    if asked is None or seconds >= record.duration:
-        return record
-    seconds += asked.sample_time * int(np.argmax(asked.values != asked.values[0]))
-    begun = ((name, one, math.ceil(seconds / one.sample_time)) for name, one in record.items())
-    part = record.with_channels({name: replace(one, values=one.values[:size]) for name, one, size in begun})
-    return record if model_free.find_too_short(part) else part
+def begin_records(records: Sequence[Record], seconds: float) -> Sequence[Record]:
+    """The beginning of one log, from its first motion on; itself if a part of it moves one way, or is no shorter."""
+    asked = [one for one in (record.reference or record.motor_position for record in records) if one is not None]
+    seconds += min((one.sample_time * int(np.argmax(one.values != one.values[0])) for one in asked), default=math.inf)
+    if seconds >= records[0].duration:
+        return records
+    parts = []
+    for record in records:
+        begun = ((name, one, math.ceil(seconds / one.sample_time)) for name, one in record.items())
+        parts.append(record.with_channels({name: replace(one, values=one.values[:size]) for name, one, size in begun}))
+    return records if any(map(model_free.find_too_short, parts)) else parts
 
 
 def list_cases(declared: Case) -> list[Case]:

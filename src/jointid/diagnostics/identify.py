@@ -25,7 +25,7 @@ from jointid.common.text import in_words, join, number
 from jointid.diagnostics.analysis import rebuild_problem
 from jointid.diagnostics.axis_torques import AxisTorques
 from jointid.diagnostics.diagnosis import AxisDiagnosis, Diagnosis, diagnose_joint, diagnose_robot
-from jointid.diagnostics.explain import FAILS, Causes, begin_record, explain_misfit
+from jointid.diagnostics.explain import FAILS, Causes, begin_records, explain_misfit
 from jointid.diagnostics.model_free import Agreement, find_broken_part, find_lost_samples, find_too_short
 from jointid.diagnostics.score import score
 from jointid.diagnostics.search import TOLERANCE, find_part_of_loop
@@ -53,7 +53,8 @@ from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
 _fail = partial(checks_of, Subject.LOOP, False)
-_PERIODS = 100_000  # of controller or log, of which the checks of a joint take 20 s of processor at most
+_PERIODS = 100_000  # of controller or log, of all joints, of which the checks take 20 s of processor at most
+_PART = "checks read the first {:.3g} s of the record: jointid diagnose reads all"
 LATER = {"later": True}  # values of a check that was left out on request, and is made up for by `check_later`
 
 
@@ -95,8 +96,8 @@ def identify(
             or robot by DIDIM. Those that may take too much memory at once are identified in windows without it, of
             which one is checked. False identifies them at once.
         checks: whether to check controller, log and model: of one record, by a DIDIM that ends at the least squares.
-            Without them, the verdict on the loop says so. Of a joint they simulate 100,000 periods of controller or log
-            from its first motion on, for 20 s of processor or less; "whole" ones simulate all.
+            Without them, the verdict on the loop says so. They simulate 100,000 periods of controllers or logs from the
+            first motion on, for 20 s of processor or less; "whole" ones simulate all.
         progress: called with each step in a sentence.
 
     Raises:
@@ -164,7 +165,7 @@ def run_checks(fit: Estimate, progress: Progress = ignore_progress, *, whole: bo
     """
     try:
         if fit.robot is not None:
-            return _check_robot(fit, fit.robot, progress)
+            return _check_robot(fit, fit.robot, progress, whole)
         if fit.records and fit.problem is not None and fit.x is not None:
             return _check_joint(fit, fit.problem, fit.x, progress, whole)
     except Exception as error:  # an estimate is worth more than any check of it
@@ -173,22 +174,23 @@ def run_checks(fit: Estimate, progress: Progress = ignore_progress, *, whole: bo
     return (), (), None
 
 
-def begin_checked(record: Record, loop: ClosedLoop) -> Record:
-    """The part of a record that the checks of a joint read: of a long one its beginning."""
-    step = min(channel.sample_time for _, channel in record.items())
-    return begin_record(record, _PERIODS * min(getattr(loop.controller, "period", None) or step, step))
+def begin_checked(records: Sequence[Record], controllers: Sequence[Any]) -> Sequence[Record]:
+    """The part of a log that its checks read: of a long one its beginning."""
+    step = min(channel.sample_time for record in records for _, channel in record.items())
+    period = min([getattr(one, "period", None) or step for one in controllers], default=step)
+    return begin_records(records, _PERIODS / len(records) * min(period, step))
 
 
 def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progress: Progress, all_of: bool) -> Checked:
     """Return the checks of a joint's fit; see `run_checks`."""
     record, found, searched, said = fit.records[0], None, list[Causes | None](), list[Widening]()
     broken = find_broken_part(record)
-    if not all_of and (part := begin_checked(record, problem.loop)) is not record:
+    if not all_of and (part := begin_checked([record], [problem.loop.controller])[0]) is not record:
         broken = broken or find_part_of_loop(problem, x, record)
         problem = replace(problem, logs=(loop_log(problem.loop, [part], problem.joint.model, problem.filtering),))
         x, record = descend(problem, x, TOLERANCE).x, part
         fit = replace(fit, problem=problem, x=x)
-        said = [({}, f"checks read the first {part.duration:.3g} s of the record: jointid diagnose reads all")]
+        said = [({}, _PART.format(part.duration))]
     if broken is not None:
         return _fail(broken), said, None
     progress("checking loop and log")
@@ -228,44 +230,45 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
         record = replace(record, reference=path, injected=None)
     if whole and (short := find_too_short(record)) is not None:  # what is refused is not relied on
         loop = _fail(short)
-    return loop, said if found is None else [*_widen(fit, found), *said], found
+    if found is not None:
+        said[:0] = widen_for_faults(found.axes[0], {row.name: row for row in fit.rows})
+        with contextlib.suppress(*FAILS):
+            said[:0] = widen_for_undeclared(fit, found)
+    return loop, said, found
 
 
-def _widen(fit: Estimate, found: Diagnosis) -> list[Widening]:
-    """Shifts of parameters by possible faults and undeclared elements."""
-    wider = [] if fit.robot is not None else [*widen_for_faults(found.axes[0], {row.name: row for row in fit.rows})]
-    with contextlib.suppress(*FAILS):
-        wider += widen_for_undeclared(fit, found)
-    return wider
-
-
-def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress) -> Checked:
+def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress, all_of: bool) -> Checked:
     """Check a robot's fit: simulated controllers, and the residual of each joint."""
     if len(fit.records) != len(part.model):
         return _untested("not checked: several records were identified in one fit"), (), None
     progress("checking controllers and torques")
+    controllers, settings, said = getattr(part.setup, "controllers", ()), fit.settings, list[Widening]()
     try:
+        if not all_of and (begun := begin_checked(fit.records, controllers)) is not fit.records:
+            solved = solve_again(part, begun, settings.filtering) if settings.simulates else None
+            fit, said = replace(fit, records=tuple(begun), solved=solved), [({}, _PART.format(begun[0].duration))]
         found = diagnose_robot(fit, fit.records)
     except FAILS as error:
         return _untested(f"not checked: {error}"), (), None
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, found.cause.words)]
     if bad := [joint.name for joint in found.axes if not joint.explained]:
-        said = f"what the model leaves of the torque of {join(bad)} is no noise"
-        rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, said, {"axes": bad}))
+        left = f"what the model leaves of the torque of {join(bad)} is no noise"
+        rest.append(Message(Reason.RESIDUAL_FOLLOWS_MOTION, left, {"axes": bad}))
     rest += found.name_faults(of_model=True) if rest else ()
     checks = checks_of(Subject.REPEATABLE, not rest, *(rest or [Message(Reason.PASSED, "what is left is noise")]))
-    lost = [message for message in map(find_lost_samples, fit.records) if message is not None]
-    failed = lost[:1] or found.name_faults(of_model=False)
+    failed = [*filter(None, map(find_lost_samples, fit.records))][:1] or found.name_faults(of_model=False)
     unseen = [joint.name for joint in found.axes if joint.law_holds is None]
     if failed:
         checks += _fail(*failed)
-    elif hasattr(part.setup, "controllers") and unseen:
-        said = f"the controller of {join(unseen)} was not checked, which needs a logged torque, position and reference"
-        checks += _untested(said, {"axes": unseen} if len(unseen) < len(found.axes) else None)
-    elif hasattr(part.setup, "controllers"):
-        said = "the declared controllers make the logged torques of the positions"
-        checks += checks_of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, said))
-    return checks, _widen(fit, found), found
+    elif controllers and unseen:
+        why = f"the controller of {join(unseen)} was not checked, which needs a logged torque, position and reference"
+        checks += _untested(why, {"axes": unseen} if len(unseen) < len(found.axes) else None)
+    elif controllers:
+        good = "the declared controllers make the logged torques of the positions"
+        checks += checks_of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, good))
+    with contextlib.suppress(*FAILS):
+        said[:0] = widen_for_undeclared(fit, found)
+    return checks, said, found
 
 
 # What widens the intervals
