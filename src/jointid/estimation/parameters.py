@@ -456,7 +456,7 @@ def mass_matrix_at(tree: Tree, inertials: FloatArray, pose: FloatArray) -> Float
 
     n, still = pose.size, np.zeros(pose.size)
     M = np.empty((n, n))
-    equations_of_motion(tree, inertials, pose, still, still, np.empty((n, ROOM)), M, np.empty(n))
+    equations_of_motion(tree, inertials, pose, still, still, np.empty((n, ROOM)), M, np.empty(n), False)
     return M
 
 

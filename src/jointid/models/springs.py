@@ -236,6 +236,8 @@ class Spring:
 
     def deflection(self, values: Values, torque: float) -> float:
         """Smallest deflection under a constant torque, if the spring can hold it."""
+        if self.linear:
+            return torque / values["stiffness"] if values["stiffness"] > 0.0 else 0.0
         size, cubic, found, pieces = abs(torque), self.beside(values)["cubic_stiffness"], 0.0, self.pieces(values)
         for piece in pieces:
             if size > 0.0 and size >= piece.torque:

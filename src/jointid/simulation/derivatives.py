@@ -26,7 +26,7 @@ from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
 from jointid.simulation.kernels import LANES, IntArray, Seeds
 from jointid.simulation.loop_input import AxisInput, acting, along, averages, to_log
-from jointid.simulation.plant import DELAY, OF_RECORD, Numbers, Place, names_of
+from jointid.simulation.plant import DELAY, OF_RECORD, Numbers, Place
 from jointid.simulation.simulate import MassMotion, Outcome, Run, motion_at
 from jointid.simulation.start import INITIAL, start_slopes
 
@@ -143,8 +143,9 @@ def _follow(
         own = of_limits.size
         of_law[j, : len(of_elements), :own, c], limits[j, :own, column] = of_elements, of_limits
     (places, speeds, laws), alone = first, kept.path is None and experiment.tree is None
-    lines = kept.path is not None and all(law.linear for law in numbers.joints[0].laws)
-    seeds = _seeds_of_lines(numbers.joints[0], tuple(keys)) if lines else numbers.seeds(kept.plant, keys)
+    lines = not alone and all(law.linear for joint in numbers.joints for law in joint.laws)
+    names, links = tuple(map(tuple, numbers.values)), len(numbers.inertials)
+    seeds = _seeds_of_lines(numbers.joints, names, links, tuple(keys)) if lines else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 
     follow(
@@ -156,9 +157,11 @@ def _follow(
 
 
 @lru_cache(maxsize=64)
-def _seeds_of_lines(joint: Joint, keys: tuple[Place, ...]) -> Seeds:
-    """Dependence of a piecewise linear joint's plant on parameters, the same everywhere."""
-    numbers = Numbers((joint,), (dict.fromkeys(names_of(joint), 1.0),))
+def _seeds_of_lines(
+    joints: tuple[Joint, ...], names: tuple[tuple[str, ...], ...], links: int, keys: tuple[Place, ...]
+) -> Seeds:
+    """Dependence of a plant of lines on parameters, the same everywhere."""
+    numbers = Numbers(joints, tuple(dict.fromkeys(own, 1.0) for own in names), np.zeros((links, 10)))
     return numbers.seeds(numbers.plant, keys)
 
 

@@ -364,7 +364,7 @@ def choose_steps(tree: Tree, references: FloatArray, length: float, plant: Plant
     """Steps per `length`, s, that keep a robot's fastest motion along references, (samples, n), within 0.5 rad."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
-    n, size, fastest = len(inertials), len(plant.masses), 0.0
+    n, size, poses = len(inertials), len(plant.masses), references[:: max(len(references) // _POSES, 1)]
     still, room, links = np.zeros(n), np.empty((n, ROOM)), np.empty((n, n))
     whole = plant.masses[:, -1]
     # What winds up is a spring, twice as stiff behind a reversal as where it is not wound up.
@@ -378,13 +378,13 @@ def choose_steps(tree: Tree, references: FloatArray, length: float, plant: Plant
         stiffness = stiffest[kernels.STIFFNESS] * (4.0 if stiffest[kernels.CUBIC] > 0.0 else 1.0)
         springs += (stiffness + 2.0 * stiffest[kernels.SLIPS] * stiffest[kernels.WINDING]) * np.outer(both, both)
         dampers += stiffest[kernels.DAMPING] * np.outer(both, both)
-    for pose in references[:: max(len(references) // _POSES, 1)]:
-        M = np.diag(plant.masses[:, 0, kernels.INERTIA])
-        equations_of_motion(tree, inertials, pose, still, still, room, links, np.empty(n))
+    masses = np.tile(np.diag(plant.masses[:, 0, kernels.INERTIA]), (len(poses), 1, 1))
+    for M, pose in zip(masses, poses, strict=True):
+        equations_of_motion(tree, inertials, pose, still, still, room, links, np.empty(n), False)
         M[:n, :n] += links
-        lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])
-        if not lowest > 0.0:  # the kernel says of it what is to be said
-            continue
-        each = [np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))) for matrix in (springs, dampers)]
-        fastest = max(fastest, math.sqrt(float(np.max(each[0]))), float(np.max(each[1])))
-    return max(math.ceil(length * fastest / FINE), 1)
+    inertia, axes = np.linalg.eigh(masses)
+    sound = inertia[:, 0] > 0.0  # of the others the kernel says what is to be said
+    white = axes[sound] / np.sqrt(inertia[sound])[:, np.newaxis]
+    each = (white.swapaxes(1, 2) @ matrix @ white for matrix in (springs, dampers))
+    stiff, damped = (float(np.max(np.linalg.eigvalsh(one), initial=0.0)) for one in each)
+    return max(math.ceil(length * max(math.sqrt(stiff), damped) / FINE), 1)

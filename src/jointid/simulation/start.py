@@ -161,8 +161,7 @@ class Steady:
 
     def settle(self) -> tuple[FloatArray, FloatArray]:
         """Balance by Newton's method: mass positions, (masses,), and motor torques, (n,)."""
-        n = self.free.size
-        at = self.free
+        n, at = self.free.size, self.free
         for _ in range(_SETTLING):
             found = self.balance(at)
             missing = at - found[:n]
@@ -202,7 +201,8 @@ class Steady:
         if key.name == INITIAL[1]:  # at rest the drag of steady motion jumps
             width = float(_SMALL * self.speeds[key.axis])
             return (replace(self, speeds=self.speeds * (1.0 + _SMALL)), width) if width else None
-        if key not in self.numbers or key.name.startswith("swinging_"):  # a part that swings begins with the load
+        still = () if np.any(self.speeds) else ("viscous", "coulomb")  # at rest friction holds none of the load
+        if key not in self.numbers or key.own.startswith(("swinging_", *still)):  # what swings begins with the load
             return None
         value = float(self.numbers[key])
         step = _SMALL * (abs(value) or 1.0)
@@ -248,7 +248,7 @@ class Steady:
         from jointid.models.robots.equations import ROOM, equations_of_motion
 
         M, room = np.empty((n, n)), np.empty((n, ROOM))
-        equations_of_motion(self.tree, numbers.inertials, at, self.speeds, self.accelerations, room, M, taken)
+        equations_of_motion(self.tree, numbers.inertials, at, self.speeds, self.accelerations, room, M, taken, False)
         return taken
 
 

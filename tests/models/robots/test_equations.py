@@ -28,7 +28,7 @@ def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
     data.qpos[order], data.qvel[order], data.qacc[order] = q, v, a
     mujoco.mj_inverse(model, data)
     full = full_mass_matrix(mujoco, model, data)[np.ix_(order, order)]
-    equations_of_motion(robot.tree, robot.inertials, q, v, a, np.empty((SIZE, ROOM)), M, torque)
+    equations_of_motion(robot.tree, robot.inertials, q, v, a, np.empty((SIZE, ROOM)), M, torque, False)
     for found, expected in ((M + np.diag(rotors), full), (torque + rotors * a, data.qfrc_inverse[order])):
         assert np.max(np.abs(found - expected)) < by_mujoco(1e-10) * np.max(np.abs(expected))
 
@@ -38,12 +38,12 @@ def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
 def test_one_pass_is_inverse_dynamics_and_mass_matrix_and_its_derivatives_are_theirs(seed: int, coupled: bool) -> None:
     """Of coupled motors those of their shafts, to whose positions a matrix takes the joints'."""
     robot, random = random_robot(seed, SIZE), np.random.default_rng(seed)
-    inertials = robot.inertials
     q, v, a = random.uniform(-3, 3, SIZE), random.normal(0, 2, SIZE), random.normal(0, 5, SIZE)
     T = np.eye(SIZE) + coupled * random.uniform(-0.3, 0.3, (SIZE, SIZE))
-    tree = robot.tree._replace(joints=T if coupled else np.zeros((0, 0)))
+    tree, inertials = robot.tree._replace(joints=T if coupled else np.zeros((0, 0))), robot.inertials
     M, torque, room = np.empty((SIZE, SIZE)), np.empty(SIZE), np.empty((SIZE, ROOM))
-    equations_of_motion(tree, inertials, q, v, a, room, M, torque)
+    for placed in (False, True):  # then the torques alone, of another motion at the same positions
+        equations_of_motion(tree, inertials, q, v if placed else -2.0 * v, a * placed, room, M, torque, placed)
     expected = T.T @ mass_matrix_by_regressor(robot.tree, inertials, T @ q) @ T
     assert np.max(np.abs(M - expected)) < 1e-12 * np.max(np.abs(expected))
     whole = T.T @ torque_by_regressor(tree, inertials, T @ q, T @ v, T @ a)

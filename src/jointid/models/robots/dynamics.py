@@ -89,55 +89,54 @@ def inertia_times(body: FloatArray, i: int, j: int, a: Vector) -> Vector:
 
 
 @inline_kernel
-def move_outwards(tree: Tree, room: FloatArray) -> None:
-    """Write base-frame frames, joint twists, velocities and accelerations; the scratch has MOTION."""
-    parents, kinds, axes, rotations, origins = tree.parents, tree.kinds, tree.axes, tree.rotations, tree.origins
-    gravity = tree.gravity
-    for i in range(parents.size):
-        parent = parents[i]
-        x, y, z, p = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO
-        w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
-        if parent >= 0:
-            x, y, z = get(room, parent, 0), get(room, parent, 3), get(room, parent, 6)
-            p = get(room, parent, ORIGIN)
-            w, u = get(room, parent, VELOCITY), get(room, parent, VELOCITY + 3)
-            dw, du = get(room, parent, ACCELERATION), get(room, parent, ACCELERATION + 3)
-        p = add(p, rotate(x, y, z, get(origins, i, 0)))
-        r = rotations[i]
-        first, second, third = (r[0, 0], r[1, 0], r[2, 0]), (r[0, 1], r[1, 1], r[2, 1]), (r[0, 2], r[1, 2], r[2, 2])
-        x = dot(x, first), dot(x, second), dot(x, third)
-        y = dot(y, first), dot(y, second), dot(y, third)
-        z = dot(z, first), dot(z, second), dot(z, third)
-        axis, (q, v, a) = get(axes, i, 0), get(room, i, MOTION)
-        s = rotate(x, y, z, axis)
-        if kinds[i] == REVOLUTE:
-            cosine, sine = math.cos(q), math.sin(q)
-            x = _about(x, axis, cosine, sine, s[0])
-            y = _about(y, axis, cosine, sine, s[1])
-            z = _about(z, axis, cosine, sine, s[2])
-            turns, slides = s, cross(p, s)
-        else:
-            p = add(p, times(q, s))
-            turns, slides = ZERO, s
-        put(room, i, 0, x)
-        put(room, i, 3, y)
-        put(room, i, 6, z)
-        put(room, i, ORIGIN, p)
-        put(room, i, JOINT, turns)
-        put(room, i, JOINT + 3, slides)
-        turning, sliding = cross(w, turns), add(cross(w, slides), cross(u, turns))
-        put(room, i, TURNING, turning)
-        put(room, i, TURNING + 3, sliding)
-        put(room, i, VELOCITY, add(w, times(v, turns)))
-        put(room, i, VELOCITY + 3, add(u, times(v, slides)))
-        put(room, i, ACCELERATION, add(dw, add(times(v, turning), times(a, turns))))
-        put(room, i, ACCELERATION + 3, add(du, add(times(v, sliding), times(a, slides))))
+def _place(tree: Tree, i: int, room: FloatArray) -> None:
+    """Write the frame of a link and the twist of its joint."""
+    parent, turned, q, cosine, sine = tree.parents[i], tree.rotations, room[i, MOTION], 1.0, 0.0
+    x, y, z, p = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO
+    if parent >= 0:
+        x, y, z = get(room, parent, 0), get(room, parent, 3), get(room, parent, 6)
+        p = get(room, parent, ORIGIN)
+    p = add(p, rotate(x, y, z, get(tree.origins, i, 0)))
+    if tree.kinds[i] == REVOLUTE:
+        cosine, sine = math.cos(q), math.sin(q)
+    first = add(get(turned, i, 0), add(times(cosine, get(turned, i, 9)), times(sine, get(turned, i, 18))))
+    second = add(get(turned, i, 3), add(times(cosine, get(turned, i, 12)), times(sine, get(turned, i, 21))))
+    third = add(get(turned, i, 6), add(times(cosine, get(turned, i, 15)), times(sine, get(turned, i, 24))))
+    x = dot(x, first), dot(x, second), dot(x, third)
+    y = dot(y, first), dot(y, second), dot(y, third)
+    z = dot(z, first), dot(z, second), dot(z, third)
+    s = rotate(x, y, z, get(tree.axes, i, 0))
+    if tree.kinds[i] == REVOLUTE:
+        put(room, i, JOINT, s)
+        put(room, i, JOINT + 3, cross(p, s))
+    else:
+        p = add(p, times(q, s))
+        put(room, i, JOINT, ZERO)
+        put(room, i, JOINT + 3, s)
+    put(room, i, 0, x)
+    put(room, i, 3, y)
+    put(room, i, 6, z)
+    put(room, i, ORIGIN, p)
 
 
 @inline_kernel
-def _about(row: Vector, axis: Vector, cosine: float, sine: float, along: float) -> Vector:
-    """Turn a row of a rotation about an axis; `along` is its component on the axis."""
-    return add(add(times(cosine, row), times(sine, cross(row, axis))), times((1.0 - cosine) * along, axis))
+def move_link(tree: Tree, i: int, room: FloatArray, placed: bool) -> None:
+    """Write frame, unless it is there, joint twist, velocity and acceleration in the base's frame from MOTION."""
+    if not placed:
+        _place(tree, i, room)
+    parent, v, a = tree.parents[i], room[i, MOTION + 1], room[i, MOTION + 2]
+    turns, slides = get(room, i, JOINT), get(room, i, JOINT + 3)
+    w, u, dw, du = ZERO, ZERO, ZERO, (-tree.gravity[0], -tree.gravity[1], -tree.gravity[2])
+    if parent >= 0:
+        w, u = get(room, parent, VELOCITY), get(room, parent, VELOCITY + 3)
+        dw, du = get(room, parent, ACCELERATION), get(room, parent, ACCELERATION + 3)
+    turning, sliding = cross(w, turns), add(cross(w, slides), cross(u, turns))
+    put(room, i, TURNING, turning)
+    put(room, i, TURNING + 3, sliding)
+    put(room, i, VELOCITY, add(w, times(v, turns)))
+    put(room, i, VELOCITY + 3, add(u, times(v, slides)))
+    put(room, i, ACCELERATION, add(dw, add(times(v, turning), times(a, turns))))
+    put(room, i, ACCELERATION + 3, add(du, add(times(v, sliding), times(a, slides))))
 
 
 @inline_kernel
@@ -153,7 +152,7 @@ def regressor(tree: Tree, room: FloatArray, out: FloatArray) -> None:
 
     Args:
         tree: of the links.
-        room: written by `move_outwards`.
+        room: written by `move_link`.
         out: N m or N per unit of each parameter.
     """
     for i in range(out.shape[0]):
@@ -190,6 +189,6 @@ def regressor_of(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray) -> Flo
     for t in range(samples):
         for i in range(n):
             put(room, i, MOTION, (q[t, i], v[t, i], a[t, i]))
-        move_outwards(tree, room)
+            move_link(tree, i, room, False)
         regressor(tree, room, out[t])
     return out

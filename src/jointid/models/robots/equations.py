@@ -28,7 +28,7 @@ from __future__ import annotations
 from functools import partial
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compile_kernel, inline_kernel
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import (
     ACCELERATION,
     FREE,
@@ -44,32 +44,19 @@ from jointid.models.robots.dynamics import (
     dot,
     get,
     inertia_times,
-    move_outwards,
+    move_link,
     put,
     rotate,
     times,
 )
 from jointid.models.robots.robot import Tree
 
-ROOM = FREE + 28
+ROOM = FREE + 38
 """Numbers of scratch for each link."""
 
-# Columns of the scratch behind those of the motion: inertia of what is carried, and its force; W and momentum, of which
-# B is made.
-_MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = (FREE + column for column in (0, 1, 4, 10, 16, 25))
-
-
-@inline_kernel
-def _move(tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
-    """Write the motion of the links into the scratch, from the shafts'."""
-    for i in range(q.size):
-        motion = (q[i], v[i], a[i])
-        if tree.joints.shape[0] > 0:
-            motion = ZERO
-            for j in range(q.size):
-                motion = add(motion, times(tree.joints[i, j], (q[j], v[j], a[j])))
-        put(room, i, MOTION, motion)
-    move_outwards(tree, room)
+# Columns of the scratch behind those of the motion: inertia of the link; that of what is carried, and its force; W and
+# momentum, of which B is made.
+_OWN, _MASS, _FORCE, _W, _MOMENTUM = (FREE + column for column in (0, 10, 20, 26, 35))
 
 
 @inline_kernel
@@ -93,29 +80,42 @@ def _body(inertials: FloatArray, i: int, room: FloatArray) -> None:
     of_x, of_y = inertia_times(inertials, i, 4, x), inertia_times(inertials, i, 4, y)
     of_z = inertia_times(inertials, i, 4, z)
     reach = 2.0 * dot(p, h) + m * dot(p, p)
-    room[i, _MASS] = m
-    put(room, i, _MOMENT, add(h, times(m, p)))
-    room[i, _INERTIA] = dot(x, of_x) + reach - 2.0 * p[0] * h[0] - m * p[0] * p[0]
-    room[i, _INERTIA + 1] = dot(x, of_y) - p[0] * h[1] - h[0] * p[1] - m * p[0] * p[1]
-    room[i, _INERTIA + 2] = dot(x, of_z) - p[0] * h[2] - h[0] * p[2] - m * p[0] * p[2]
-    room[i, _INERTIA + 3] = dot(y, of_y) + reach - 2.0 * p[1] * h[1] - m * p[1] * p[1]
-    room[i, _INERTIA + 4] = dot(y, of_z) - p[1] * h[2] - h[1] * p[2] - m * p[1] * p[2]
-    room[i, _INERTIA + 5] = dot(z, of_z) + reach - 2.0 * p[2] * h[2] - m * p[2] * p[2]
+    room[i, _OWN] = m
+    put(room, i, _OWN + 1, add(h, times(m, p)))
+    room[i, _OWN + 4] = dot(x, of_x) + reach - 2.0 * p[0] * h[0] - m * p[0] * p[0]
+    room[i, _OWN + 5] = dot(x, of_y) - p[0] * h[1] - h[0] * p[1] - m * p[0] * p[1]
+    room[i, _OWN + 6] = dot(x, of_z) - p[0] * h[2] - h[0] * p[2] - m * p[0] * p[2]
+    room[i, _OWN + 7] = dot(y, of_y) + reach - 2.0 * p[1] * h[1] - m * p[1] * p[1]
+    room[i, _OWN + 8] = dot(y, of_z) - p[1] * h[2] - h[1] * p[2] - m * p[1] * p[2]
+    room[i, _OWN + 9] = dot(z, of_z) + reach - 2.0 * p[2] * h[2] - m * p[2] * p[2]
+    assign(room[i, _MASS:_FORCE], room[i, _OWN:_MASS])
 
 
 @inline_kernel
-def _times_inertia(room: FloatArray, i: int, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-    """Moment and force of a link's inertia for a twist."""
-    h, m = get(room, i, _MOMENT), room[i, _MASS]
-    return add(inertia_times(room, i, _INERTIA, a), cross(h, b)), add(times(m, b), cross(a, h))
+def _times_inertia(room: FloatArray, i: int, column: int, a: Vector, b: Vector) -> tuple[Vector, Vector]:
+    """Moment and force of an inertia for a twist."""
+    h, m = get(room, i, column + 1), room[i, column]
+    return add(inertia_times(room, i, column + 4, a), cross(h, b)), add(times(m, b), cross(a, h))
 
 
 @inline_kernel
-def _force(room: FloatArray, i: int) -> None:
-    """Write the force for the motion of a link."""
+def _move(
+    tree: Tree, inertials: FloatArray, i: int, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
+    placed: bool,
+) -> None:  # fmt: skip
+    """Write a link's motion into the scratch, from the shafts', with the force for it."""
+    motion = (q[i], v[i], a[i])
+    if tree.joints.shape[0] > 0:
+        motion = ZERO
+        for j in range(q.size):
+            motion = add(motion, times(tree.joints[i, j], (q[j], v[j], a[j])))
+    put(room, i, MOTION, motion)
+    move_link(tree, i, room, placed)
+    if not placed:
+        _body(inertials, i, room)
     w, u = get(room, i, VELOCITY), get(room, i, VELOCITY + 3)
-    moment, force = _times_inertia(room, i, get(room, i, ACCELERATION), get(room, i, ACCELERATION + 3))
-    N, p = _times_inertia(room, i, w, u)
+    moment, force = _times_inertia(room, i, _OWN, get(room, i, ACCELERATION), get(room, i, ACCELERATION + 3))
+    N, p = _times_inertia(room, i, _OWN, w, u)
     put(room, i, _FORCE, add(moment, add(cross(w, N), cross(u, p))))
     put(room, i, _FORCE + 3, add(force, cross(w, p)))
 
@@ -130,37 +130,36 @@ def _accumulate(room: FloatArray, i: int, parent: int, first: int, last: int) ->
 @partial(compile_kernel, _nrt=False)
 def equations_of_motion(
     tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
-    M: FloatArray, torque: FloatArray,
+    M: FloatArray, torque: FloatArray, placed: bool,
 ) -> None:  # fmt: skip
-    """Fill the mass matrix, (n, n), and the torques of a motion, (n,)."""
+    """Fill the mass matrix, (n, n), and the torques of a motion, (n,); these alone if `room` has the positions."""
     parents, joints, n = tree.parents, tree.joints, tree.parents.size
-    _move(tree, q, v, a, room)
     for i in range(n):
-        _body(inertials, i, room)
-        _force(room, i)
-        for j in range(n):
+        _move(tree, inertials, i, q, v, a, room, placed)
+        for j in range(0 if placed else n):
             M[i, j] = 0.0
     for i in range(n - 1, -1, -1):
         s, t = get(room, i, JOINT), get(room, i, JOINT + 3)
         torque[i] = dot(s, get(room, i, _FORCE)) + dot(t, get(room, i, _FORCE + 3))
-        moment, force = _times_inertia(room, i, s, t)
-        j = i
+        j = -1
+        if not placed:
+            j, (moment, force) = i, _times_inertia(room, i, _MASS, s, t)
         while j >= 0:
             M[i, j] = M[j, i] = dot(moment, get(room, j, JOINT)) + dot(force, get(room, j, JOINT + 3))
             j = parents[j]
         if parents[i] >= 0:
-            _accumulate(room, i, parents[i], _MASS, _W)
+            _accumulate(room, i, parents[i], _FORCE if placed else _MASS, _W)
     to_shafts(joints, torque.reshape((1, n)), room)
-    to_shafts(joints, M, room)
-    to_shafts(joints, M.T, room)
+    if not placed:
+        to_shafts(joints, M, room)
+        to_shafts(joints, M.T, room)
 
 
 @inline_kernel
 def _own_slopes(room: FloatArray, i: int) -> None:
     """Write W and the momentum of a link, the parts of B."""
-    w, u, h = get(room, i, VELOCITY), get(room, i, VELOCITY + 3), get(room, i, _MOMENT)
-    xx, xy, xz = room[i, _INERTIA], room[i, _INERTIA + 1], room[i, _INERTIA + 2]
-    yy, yz, zz = room[i, _INERTIA + 3], room[i, _INERTIA + 4], room[i, _INERTIA + 5]
+    w, u, h = get(room, i, VELOCITY), get(room, i, VELOCITY + 3), get(room, i, _OWN + 1)
+    (xx, xy, xz), (yy, yz, zz) = get(room, i, _OWN + 4), get(room, i, _OWN + 7)
     half, along = 0.5 * (xx + yy + zz), dot(h, u)
     # Columns of -w x E, with E = half the trace of the inertia less the inertia.
     first, second = cross((half - xx, -xy, -xz), w), cross((-xy, half - yy, -yz), w)
@@ -168,7 +167,7 @@ def _own_slopes(room: FloatArray, i: int) -> None:
     put(room, i, _W, (first[0] + along - u[0] * h[0], second[0] - u[0] * h[1], third[0] - u[0] * h[2]))
     put(room, i, _W + 3, (first[1] - u[1] * h[0], second[1] + along - u[1] * h[1], third[1] - u[1] * h[2]))
     put(room, i, _W + 6, (first[2] - u[2] * h[0], second[2] - u[2] * h[1], third[2] + along - u[2] * h[2]))
-    put(room, i, _MOMENTUM, _times_inertia(room, i, w, u)[1])
+    put(room, i, _MOMENTUM, _times_inertia(room, i, _OWN, w, u)[1])
 
 
 @inline_kernel
@@ -190,17 +189,14 @@ def linearised_equations(
 ) -> None:  # fmt: skip
     """Fill mass matrix and torque derivatives by position and velocity, (n, n)."""
     parents, joints, n = tree.parents, tree.joints, tree.parents.size
-    _move(tree, q, v, a, room)
     for i in range(n):
+        _move(tree, inertials, i, q, v, a, room, False)
+        _own_slopes(room, i)
         for j in range(n):
             M[i, j] = by_place[i, j] = by_speed[i, j] = 0.0
-    for i in range(n):
-        _body(inertials, i, room)
-        _force(room, i)
-        _own_slopes(room, i)
     for i in range(n - 1, -1, -1):
         s, t = get(room, i, JOINT), get(room, i, JOINT + 3)
-        g, h = _times_inertia(room, i, s, t)  # I S
+        g, h = _times_inertia(room, i, _MASS, s, t)  # I S
         x, y, z = get(room, i, _W), get(room, i, _W + 3), get(room, i, _W + 6)
         p = get(room, i, _MOMENTUM)
         # B' S and B S
@@ -209,11 +205,11 @@ def linearised_equations(
         # 2 B P + I R + S x* f, and B S + I P
         turning, sliding = get(room, i, TURNING), get(room, i, TURNING + 3)
         spinning, swaying = _changing(room, i, parents[i], tree.gravity)
-        pulled, pushed = _times_inertia(room, i, spinning, swaying)
+        pulled, pushed = _times_inertia(room, i, _MASS, spinning, swaying)
         moment, force = get(room, i, _FORCE), get(room, i, _FORCE + 3)
         pulled = add(add(pulled, times(2.0, rotate(x, y, z, turning))), add(cross(s, moment), cross(t, force)))
         pushed = add(add(pushed, times(2.0, cross(turning, p))), cross(s, force))
-        turned, slid = _times_inertia(room, i, turning, sliding)
+        turned, slid = _times_inertia(room, i, _MASS, turning, sliding)
         d, e = add(d, turned), add(e, slid)
         j = i
         while j >= 0:

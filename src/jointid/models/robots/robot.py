@@ -41,7 +41,7 @@ class Tree(NamedTuple):
         parents: (n,) of each link, -1 for the base; before the link.
         kinds: (n,) 0 revolute, 1 prismatic.
         axes: (n, 3) of unit length, in the link's frame.
-        rotations: (n, 3, 3) of the link's frame to its parent's at q = 0.
+        rotations: (n, 27) of the link's frame to its parent's: three columns that stay, go with cos q, go with sin q.
         origins: (n, 3) of the link's frame in its parent's at q = 0, m.
         gravity: (3,) in the base's frame, m/s2.
         joints: (n, n) the joints' positions from those of the shafts that the motors turn, or (0, 0) without coupling.
@@ -304,9 +304,12 @@ class Robot:
             np.array([getattr(link, name) for link in self.links], dtype=np.float64)
             for name in ("axis", "rotation", "origin")
         )
+        stays = np.einsum("nij,nj,nk->nik", rotations, axes, axes)
+        parts = np.stack([stays, rotations - stays, np.cross(rotations, axes[:, np.newaxis])], 1)
+        columns = parts.swapaxes(2, 3).reshape(-1, 27)
         coupled = any(joint.coupling for joint in self.joints)
         joints = np.asarray(np.linalg.inv(self.coupling)) if coupled else np.zeros((0, 0))
-        return Tree(parents, kinds, axes, rotations, origins, np.asarray(self.gravity, dtype=np.float64), joints)
+        return Tree(parents, kinds, axes, columns, origins, np.asarray(self.gravity, dtype=np.float64), joints)
 
     @property
     def inertials(self) -> FloatArray:

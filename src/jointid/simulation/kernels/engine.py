@@ -10,9 +10,10 @@ flexible one the rotor is a mass that only its spring ties to the links (M. W. S
 joint robots, Journal of Dynamic Systems, Measurement, and Control 109, 1987). Where motors are coupled the position of
 a link is that of the shaft that its motor turns, so that friction and springs are each one shaft's.
 
-Between two events this is smooth, and integrated by the classical method of order 4; a joint whose laws are lines in
-pieces has affine maps for whole parts of a period (`kernels.affine`). A step is a share of the time in which the
-fastest part of the motion turns by one radian, so that a joint's torque is within some 1e-5 of its peak.
+Between two events this is smooth, and integrated by a method of order 4 of E. J. Nyström's kind, whose two stages in
+the middle of a step share one position (E. Hairer and others: Solving ordinary differential equations I, 1993, II.14).
+A joint whose laws are lines in pieces has affine maps for whole parts of a period (`kernels.affine`). A step is a share
+of the time in which the fastest part turns by one radian, so that a joint's torque is within some 1e-5 of its peak.
 
 The events are a mass that stops, one that comes loose, a deflection that reverses where the spring has a slider, and
 the edges of a friction's bands and of a spring's pieces. The integrator locates them itself, so they do not lower its
@@ -93,11 +94,8 @@ def _read(x: FloatArray, i: float) -> float:
 
 
 @inline_kernel
-def solve(M: FloatArray, modes: FloatArray, left: FloatArray, x: FloatArray) -> bool:
-    """Replace the forces on masses by their accelerations; False if M, with the masses at rest held, is not positive.
-
-    The force on a mass at rest is 0; `left` is scratch.
-    """
+def factorise(M: FloatArray, modes: FloatArray, left: FloatArray) -> bool:
+    """Fill `left` with the factors of M, with the masses at rest held; False if that is not positive."""
     n = M.shape[0]
     for i in range(n):
         for j in range(i + 1):
@@ -109,15 +107,23 @@ def solve(M: FloatArray, modes: FloatArray, left: FloatArray, x: FloatArray) -> 
         share = 1.0 / left[k, k]
         for i in range(k + 1, n):
             factor = left[i, k] * share
-            x[i] -= factor * x[k]
             for j in range(k + 1, i + 1):
                 left[i, j] -= factor * left[j, k]
-        x[k] *= share
         left[k, k] = share
+    return True
+
+
+@inline_kernel
+def solve(left: FloatArray, x: FloatArray) -> None:
+    """Replace the forces on masses, 0 of those at rest, by their accelerations; `left` has the factors of M."""
+    n = left.shape[0]
+    for k in range(n):
+        x[k] *= left[k, k]
+        for i in range(k + 1, n):
+            x[i] -= left[i, k] * x[k]
     for k in range(n - 1, -1, -1):
         for i in range(k):
             x[i] -= left[i, i] * left[k, i] * x[k]
-    return True
 
 
 @inline_kernel
@@ -125,14 +131,14 @@ def accelerate(
     mass: FloatArray, spring: FloatArray, places: FloatArray, pairs: IndexArray, carriers: IntArray, tree: Tree | None,
     M: FloatArray, left: FloatArray, bias: FloatArray, mobility: FloatArray, modes: FloatArray,
     drive: FloatArray, time: float, q: FloatArray, v: FloatArray, w: FloatArray, a: FloatArray, held: FloatArray,
-    grip: FloatArray, pull: FloatArray, turned: FloatArray,
+    grip: FloatArray, pull: FloatArray, turned: FloatArray, changed: bool,
 ) -> bool:  # fmt: skip
     """Compute accelerations, and friction at rest with its limits; False if M is not positive definite.
 
-    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, `left` is scratch for it,
-    and bias the torques that their motion takes; of other masses mobility is one over the inertia. Modes are the
-    directions in which masses and deflections move, 0 of a mass at rest; the rows of masses and springs are those of
-    their bands and pieces.
+    Of the links, which stand in a tree, M is the mass matrix with the rotors of rigid joints, `left` has its factors
+    unless it or the modes have changed, and bias the torques that their motion takes; of other masses mobility is one
+    over the inertia. Modes are the directions in which masses and deflections move, 0 of a mass at rest; the rows of
+    masses and springs are those of their bands and pieces.
     """
     affine.compact()
     nd, links = q.size, 0 if tree is None else bias.size
@@ -159,7 +165,9 @@ def accelerate(
         grip[i], drag = laws.friction(mass, i, back, carried, time)
         held[i] -= grip[i] * (w[i] if mass[i, kernels.WINDING] > 0.0 else mode) + drag * v[i]
         a[i] = held[i] * (mobility[i] if i >= links else 1.0) if mode != 0.0 else 0.0
-    positive = tree is None or solve(M, modes, left, a)
+    positive = tree is None or not changed or factorise(M, modes, left)
+    if tree is not None:
+        solve(left, a[:links])
     for i in range(links):
         for j in range(links if modes[i] == 0.0 else 0):  # what the others' motion takes from what holds it
             held[i] -= M[i, j] * a[j]
@@ -424,10 +432,10 @@ def run(
         numbers = mass[i] if i < nd else spring[i - nd]
         varies = varies or numbers[kernels.WINDING] > 0.0 or (i >= nd and numbers[kernels.CUBIC] != 0.0)
     if tree is not None:
-        equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias)
+        equations_of_motion(tree, inertials, q[:links], v[:links], still, link_room, M, bias, False)
         for i in range(links):
             M[i, i] += mass[i, kernels.INERTIA]
-    events, steps, rows, k, part, fastest, work, status = 0, 0, 1, 0, 0, rate, _WORK, kernels.FINISHED
+    events, steps, rows, k, part, fastest, work, status, changed = 0, 0, 1, 0, 0, rate, _WORK, kernels.FINISHED, True
     if path is not None:  # maps of lines in pieces, and a law of one element, one phase and two states, which glides
         states, kept_modes, rates = path
         work, maps, bands, pieces = _OF_LINES, rates.shape[0], masses.shape[1], springs.shape[1]
@@ -483,11 +491,12 @@ def run(
                 for turn in range(_PIVOTS * nd if settles else 0):
                     if not accelerate(
                         mass, spring, places, pairs, carriers, tree, M, coupling, bias, mobility, modes, drive, time,
-                        q, v, w, a, held, grip, pull, turned,
+                        q, v, w, a, held, grip, pull, turned, changed,
                     ):  # fmt: skip
                         status = kernels.NOT_POSITIVE
                         break
-                    if not settle(mass, modes, v, a, held, grip, turn <= nd):
+                    changed = settle(mass, modes, v, a, held, grip, turn <= nd)
+                    if not changed:
                         break
                 for s in range(ns):  # a deflection at rest goes where its ends accelerate to
                     one, two = tied(tree, pairs, s)
@@ -517,32 +526,35 @@ def run(
                     for i in range(nd):
                         v1[i], a1[i], between[i] = v[i], a[i], -a[i]
                     for stage in range(0 if path is None else 3, 4):
-                        gone = 0.5 * d if stage < 2 else d
+                        gone, onward = 0.5 * d if stage < 2 else d, stage != 1
                         if path is not None:
                             moved = affine.flow(rates[mode], d, affine.read_state(q, v), drive[0], 1.0)
                             affine.write_state(moved, q1, v1)
                         for i in range(nd if path is None else 0):
                             if stage < 3:
+                                mean[i] = v[i] + 0.5 * gone * (a[i] if stage == 0 else between[i])
                                 between[i] += a1[i]
-                                mean[i], v1[i] = v1[i], v[i] + gone * a1[i]
+                                v1[i] = v[i] + gone * a1[i]
                             else:
                                 mean[i] = v[i] + d / 6.0 * (a[i] + between[i])
                                 v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between[i] + a1[i])
-                            q1[i] = q[i] + gone * mean[i]
-                        for i in range(nd):
+                            q1[i] = q[i] + gone * mean[i] if onward else q1[i]
+                        for i in range(nd if onward else 0):
                             if mass[i, kernels.WINDING] > 0.0:
                                 w1[i] = laws.wind(mass, i, modes[i], mean[i], gone, w[i])
-                        for s in range(ns):
+                        for s in range(ns if onward else 0):
                             one, two = tied(tree, pairs, s)
                             if spring[s, kernels.WINDING] > 0.0:
                                 w1[nd + s] = laws.wind(spring, s, modes[nd + s], mean[two] - mean[one], gone, w[nd + s])
                         if tree is not None:
-                            equations_of_motion(tree, inertials, q1[:links], v1[:links], still, link_room, M, bias)
-                            for i in range(links):
+                            equations_of_motion(
+                                tree, inertials, q1[:links], v1[:links], still, link_room, M, bias, not onward
+                            )
+                            for i in range(links if onward else 0):
                                 M[i, i] += mass[i, kernels.INERTIA]
                         if not accelerate(
                             mass, spring, places, pairs, carriers, tree, M, coupling, bias, mobility, modes, drive,
-                            time + gone, q1, v1, w1, a1, held1, grip1, pull, turned,
+                            time + gone, q1, v1, w1, a1, held1, grip1, pull, turned, onward,
                         ):  # fmt: skip
                             status = kernels.NOT_POSITIVE if M[0, 0] == M[0, 0] else kernels.DIVERGED  # no number
                             break
@@ -589,7 +601,7 @@ def run(
                     guards[i] = ends[i]
                 time += d
                 left = 0.0 if share == 1.0 and h == left else left - d
-                settles = known >= 0
+                settles = changed = known >= 0
                 if settles:
                     events += 1
                     _go_on(known, mass, pairs, modes, bounds, at, q, v, held)

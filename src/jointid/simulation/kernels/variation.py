@@ -34,7 +34,7 @@ from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
 from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes, small_law
-from jointid.simulation.kernels.engine import solve, table, tied, vector
+from jointid.simulation.kernels.engine import factorise, solve, table, tied, vector
 
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of springs stiffness and damping; of both the force of what winds up, whole, first and last, its stiffness, how
@@ -238,7 +238,8 @@ def _shift_edges(
             push[i] = 0.0
         for i in range(nd):
             push[r] += M[r, i] * (tape[row, after + i] - tape[last, before + i])
-        solve(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], left, push)
+        factorise(M, tape[row, STATE + 4 * nd : STATE + 5 * nd], left)
+        solve(left, push)
         for i in range(nd):
             dv[i, c] -= push[i]
 
