@@ -136,8 +136,8 @@ class Causes:
 
 def explain_misfit(
     estimate: Estimate, record: Record, findings: Sequence[Finding] | None, progress: Progress = ignore_progress
-) -> Causes | None:
-    """Find causes of a misfit; None without a misfit or near cause.
+) -> Sequence[Causes | None]:
+    """Causes of a misfit, None if there are none; empty if they are not searched for.
 
     A large misfit without a cause is reported as well, so that no other test is blamed. `findings`: None if unchecked.
     """
@@ -154,18 +154,18 @@ def explain_misfit(
             gains = (test for test in tests if test.p_value <= LEVEL and test.fault.measure != "ms")
             poor = one.error > _SUSPICIOUS or any(is_gross(test, estimate.data.sample_time) for test in gains)
     if not poor and findings is not None and not findings:
-        return None
+        return ()
     fits = [f.left for f in every if f.left is not None and (len(every) == 1 or f.law or f.value is None)]
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     responses = 0.0 if poor and not fits else model_free.find_unexplained_share(problem, asked.values)
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     strained = all(p.value is not None for p in rows) and any(p.of_joint and p.at_bound is not None for p in rows)
     if not (poor or strained or model_free.find_steps(record) or error > _FAR_MORE * responses > 0):
-        return None
+        return ()
     if fits and fits[0] <= (MORE * responses or _FITS) and all(one.test.fault.measure == "ms" for one in gross):
-        return None  # with that corrected nothing more is wrong; a factor that is gross may be another quantity's
+        return ()  # with that corrected nothing more is wrong; a factor that is gross may be another quantity's
     causes = find_causes(record, loop, estimate, progress=progress)
-    return causes if causes.found or error > POOR_FIT else None
+    return (causes if causes.found or error > POOR_FIT else None,)
 
 
 def explain_failure(

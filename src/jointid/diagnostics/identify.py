@@ -198,13 +198,14 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     def explain(findings: Sequence[Finding] | None) -> bool:
         if not searched and find_part_of_loop(problem, x, record) is None:  # what acts all the time explains no part
             with contextlib.suppress(*FAILS):
-                searched.append(explain_misfit(assemble(fit), record, findings, progress))
+                searched.extend(explain_misfit(assemble(fit), record, findings, progress))
         return any(searched)
 
     whole = all(p.value is not None for p in fit.rows)
     try:
-        found = diagnose_joint(fit, record, problem, x, **({"explain": explain} if whole else {"most": 1}))
-        loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
+        if whole or not explain(None):
+            found = diagnose_joint(fit, record, problem, x, **({"explain": explain} if whole else {"most": 1}))
+            loop = checks_of(Subject.LOOP, found.axes[0].faults.as_declared, *found.axes[0].faults.reasons)
     except FAILS as error:
         loop = _untested(f"not checked: {error}")
     faults = None if found is None or not whole else found.axes[0].faults

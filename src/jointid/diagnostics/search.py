@@ -80,12 +80,11 @@ def search_faults(
     """Return a joint's faults, `most` at most, until `explain` finds a cause."""
     problem = initial.problem
     exact = _ROUNDING * float(np.linalg.norm(problem.filter(problem.measured)))
-    # A rigid joint's DIDIM ends near the least squares, not on them.
-    if np.linalg.norm(problem.residual(initial.x)) > exact:
+    if problem.joint.model == "rigid" and np.linalg.norm(problem.residual(initial.x)) > exact:  # it ends near a minimum
         initial = replace(initial, x=descend(problem, initial.x, TOLERANCE).x)
     found = initial
     findings, suspected, gross, last = list[Finding](), list[Finding](), list[Finding](), None
-    while len(findings) < most and np.linalg.norm(found.residual) > exact:
+    while len(findings) < most and np.linalg.norm(found.residual) > exact and not (findings and explain(findings)):
         laws = test_laws(found)
         stated = choose_law([one for one in laws if one.explains(found)])
         likely = [one for one in found.tests if one.p_value <= LEVEL]
