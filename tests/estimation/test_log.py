@@ -167,7 +167,7 @@ def test_windows_begin_with_a_period_of_a_controller_slower_than_the_log() -> No
 def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     record, said = rigid(40.0), list[str]()
     assert windows_of(record, LOOP, None) is None
-    monkeypatch.setattr("jointid.estimation.problems.inverse_model.LARGEST", len(record.reference) - 1)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     monkeypatch.setattr("jointid.estimation.identify.WINDOW", len(record.reference) // 3)
     found = ji.identify(record, LOOP, progress=said.append)
     assert found.data.windows.length == pytest.approx(40.0 / 3.0, rel=1e-3)
@@ -192,7 +192,7 @@ def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPa
     record = simulated_record(LOOP, reference, TRUTH, sample_time=PERIOD, torque_noise=noise)
     torque = np.where(np.arange(len(record.torque)) < 10_500, 0.0, record.torque.values)
     record = replace(record, torque=replace(record.torque, values=torque))
-    monkeypatch.setattr("jointid.estimation.problems.inverse_model.LARGEST", len(record.torque) // 2)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.torque) // 2)
     monkeypatch.setattr("jointid.estimation.identify.WINDOW", len(record.torque) // 6)
     found = ji.identify(record, LOOP)
     (loop,) = (one for one in found.checks if one.name is Subject.LOOP)
@@ -201,12 +201,14 @@ def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPa
 
 def test_what_windows_do_not_identify_takes_no_more_memory_than_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
     """A log whose windows fail is not identified at once."""
-    record, shown = rigid(20.0), list[bool]()
-    monkeypatch.setattr("jointid.estimation.problems.inverse_model.LARGEST", len(record.reference) - 1)
+    record, shown, said = rigid(20.0), list[bool](), list[str]()
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", len(record.reference) - 1)
     monkeypatch.setattr("jointid.estimation.pieces.moves", lambda records: shown.append(True))
     with pytest.raises(ji.MethodError, match="In no window"):
         ji.identify(record, LOOP)
-    assert shown and ji.identify(record, LOOP, windows=False, checks=False).data.windows is None
+    whole = ji.identify(record, LOOP, windows=False, checks=False, progress=said.append)
+    assert shown and whole.data.windows is None
+    assert "20,000 samples are identified at once, in about 1 GiB or more" in said
 
 
 def test_a_window_that_fails_near_its_end_turns_the_search_away(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from jointid.common.text import number
 from jointid.estimation.methods import Method, Task, default_method
 from jointid.estimation.parameters import LOG_DELAY, adjust_parameters, require_friction
 from jointid.estimation.pieces import GAIN, identify_records, identify_windows, lay_out, travel
-from jointid.estimation.problems.inverse_model import WINDOW, Records, each_log, is_long, require_one_log
+from jointid.estimation.problems.inverse_model import Records, each_log, require_one_log
 from jointid.estimation.result.estimate import Estimate, fingerprint
 from jointid.estimation.result.verdict import Reason, Subject, check_of, scale_check
 from jointid.models.joints import ClosedLoop, Joint
@@ -31,8 +31,20 @@ from jointid.records.record import CHANNELS, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.controller_torque import compute_controller_torque
 
+LARGEST = 600_000
+"""Samples of all joints' records that are identified at once, in about 1 GiB for a joint; longer ones go in windows."""
+
+WINDOW = 60_000
+"""Samples of a window of such a record, of which one is checked."""
+
 _LONGEST = 60.0  # s of a window, unless it is given
 _CONSTANT = ("offset", "gravity_constant", "coulomb_forwards", "coulomb_backwards")  # includes a constant torque
+
+
+def is_long(records: Sequence[Record]) -> bool:
+    """Test for records of one clock with more than `LARGEST` samples."""
+    clocks = {(len(channel), round(channel.sample_time, 12)) for one in records for _, channel in one.items()}
+    return len(clocks) == 1 and min(clocks)[0] * len(records) > LARGEST
 
 
 def windows_of(
@@ -98,6 +110,11 @@ def fit(
     windows = windows or (_LONGEST if streamed else None)
     if windows is not None and (said := _refuse_windows(log, model, method, several)):
         raise MethodError(said)
+    given: Any = record if listed else [record]
+    every = [one for each in given for one in (each if hasattr(each, "__len__") else [each]) if hasattr(one, "items")]
+    samples = sum(max((len(channel) for _, channel in one.items()), default=0) for one in every)
+    if samples > LARGEST and windows is None and (method is None or method.simulates):
+        progress(f"{samples:,} samples are identified at once, in about {samples / LARGEST:.2g} GiB or more")
     if isinstance(model, Robot | RobotLoop):
         if not listed or several:
             raise MethodError("A robot is identified from a list of its joints' records, without `several`: give that.")

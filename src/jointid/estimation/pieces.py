@@ -44,6 +44,7 @@ from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, 
 from jointid.estimation.result.agreement import Alone, Window, compare_records, drift
 from jointid.estimation.result.estimate import (
     Estimate,
+    EstimatedParameter,
     Windows,
     build_estimate,
     build_rows,
@@ -242,16 +243,11 @@ def share_parameters(problems: Sequence[ClosedLoopProblem], layout: Layout, know
     if layout.scales:  # one that is known is per torque of the log, too
         every = {p.name: replace(p, free=True) for p in joint.parameters}
         problems = [one.replace_parameters(every) for one in problems]
-    # Free parameters of each record that no other shares.
-    around = {(p.name, p.start) for one in problems for p in one.free if p in one.around and of_law(p.name)}
-    differing = {name for name, starts in Counter(name for name, _ in around).items() if starts > 1}
-    apart = [{*mine, *INITIAL, *differing} for mine in layout.own]
-    pairs = zip(problems, apart, strict=True)
-    counts = Counter(p.name for one, mine in pairs for p in one.free if p.name not in mine)
-    alone = {name for name, records in counts.items() if records == 1}
-    for k, (problem, mine, more) in enumerate(zip(problems, apart, layout.added, strict=True), 1):
+    for k, (problem, mine, more) in enumerate(
+        zip(problems, _apart(problems, layout.own), layout.added, strict=True), 1
+    ):
         each = [stated.get(p.name, p) for p in problem.free]
-        ends = [f"@{k}" if p.name in mine | alone else "" for p in each]
+        ends = [f"@{k}" if p.name in mine else "" for p in each]
         labels.append([p.name + end if p.free else "" for p, end in zip(each, ends, strict=True)])
         found.append(np.array([more * (p.name == inertia) + (0.0 if p.free else p.start or 0.0) for p in each]))
         for p, end, label in zip(each, ends, labels[-1], strict=True):
@@ -273,6 +269,16 @@ def share_parameters(problems: Sequence[ClosedLoopProblem], layout: Layout, know
 def _scale(problem: ClosedLoopProblem, gain: float) -> FloatArray:
     """Factor per parameter, (free,): the gain for joint parameters, else 1."""
     return np.where(np.arange(len(problem.free)) < len(problem.free_joint), gain, 1.0)
+
+
+def _apart(problems: Sequence[ClosedLoopProblem], own: Sequence[Sequence[str]]) -> list[set[str]]:
+    """Names of each record's free parameters that no other record shares."""
+    around = {(p.name, p.start) for one in problems for p in one.free if p in one.around and of_law(p.name)}
+    differing = {name for name, starts in Counter(name for name, _ in around).items() if starts > 1}
+    apart = [{*mine, *INITIAL, *differing} for mine in own]
+    pairs = zip(problems, apart, strict=True)
+    shared = Counter(p.name for one, mine in pairs for p in one.free if p.name not in mine)
+    return [mine | {name for name, records in shared.items() if records == 1} for mine in apart]
 
 
 def identify_records(
@@ -712,16 +718,9 @@ def identify_windows(
     if part is None:
         settings = replace(settings, loop=(at := like.loop_at(x)), delay=at.controller.law(sample_time).delay)
     else:
-        own = like.parameters.values(x)
-        part = replace(part, setup=at_estimate(loop, like.parameters, own), values=own)
-    units, values = {row.name: row.unit for row in began.rows}, like.values(x)
-    held = find_active_bounds(like.free, x, solution.residual, solution.jacobian)
-    std = {p.name: float(one) for p, one in zip(like.free, covariance.std, strict=True)}
-    rows = tuple(  # without those of its own record
-        replace(row, value=values[row.name], stderr=std.get(row.name), at_bound=held.get(row.name), lack_of_fit=0.0)
-        for row in began.rows
-        if row.of_joint or row.name in std
-    )
+        values = like.parameters.values(x)
+        part = replace(part, setup=at_estimate(loop, like.parameters, values), values=values)
+    rows, units = _rows_at(began, like, x, covariance, solution), {row.name: row.unit for row in began.rows}
     too_short = [f"{forgets}; give longer windows"] if needed > settled else []
     read = [log.record for log in logs if hasattr(log, "record")] or first
     made = build_estimate(
@@ -741,6 +740,22 @@ def identify_windows(
     )
     data = replace(made.data, resampled=None, windows=span)
     return replace(made, fit=replace(made.fit, passes=len(problem.passes)), data=data, records=())
+
+
+def _rows_at(
+    began: Estimate, like: Simulated, x: FloatArray, covariance: Covariance, solution: Solution
+) -> tuple[EstimatedParameter, ...]:
+    """Rows of an estimate at another solution, without those of its own record."""
+    values = dict(zip(like.parameters.names, map(float, like.parameters.values(x)), strict=True))
+    std = {p.name: float(one) for p, one in zip(like.free, covariance.std, strict=True)}
+    held = find_active_bounds(like.free, x, solution.residual, solution.jacobian)
+    return tuple(
+        replace(
+            row, value=values[row.name], stderr=std.get(row.name), at_bound=held.get(row.name), lack_of_fit=0.0,
+        )
+        for row in began.rows
+        if row.of_joint or row.name in std
+    )  # fmt: skip
 
 
 def _start(

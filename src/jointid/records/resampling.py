@@ -237,7 +237,7 @@ def _interpolate(values: FloatArray, stamps: FloatArray, grid: FloatArray, metho
 
 def update_interval(values: FloatArray) -> int:
     """Number of samples between changes of a signal (samples,); 1 if irregular."""
-    changes = np.flatnonzero(values[1:] != values[:-1])
+    changes = np.flatnonzero(np.diff(values))
     return int(np.gcd.reduce(np.diff(changes))) if changes.size >= _CHANGES else 1
 
 

@@ -144,7 +144,7 @@ def test_what_cannot_succeed_is_refused_before_the_joint_is_identified(
 ) -> None:
     monkeypatch.chdir(demo)
     monkeypatch.setattr(File, "identify", None)
-    monkeypatch.setattr("jointid.estimation.problems.inverse_model.LARGEST", 1000)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", 1000)
     assert run(*words) == 2
 
 

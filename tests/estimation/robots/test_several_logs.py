@@ -58,7 +58,7 @@ def test_a_long_log_in_windows_says_what_the_whole_says(hertz: Any, monkeypatch:
     loop = two(hertz).loop()
     log = recorded(loop, two(hertz).records(20.0, multisine=0.004), 0.01, 1)[0]
     whole = ji.identify(log, loop, checks=False)
-    monkeypatch.setattr("jointid.estimation.problems.inverse_model.LARGEST", 2 * 20_000 - 1)
+    monkeypatch.setattr("jointid.estimation.identify.LARGEST", 2 * 20_000 - 1)
     monkeypatch.setattr("jointid.estimation.identify.WINDOW", 4000)
     parts = ji.identify(log, loop)
     assert parts.data.windows is not None and parts.data.windows.count == 5

@@ -131,13 +131,7 @@ class DriveSideFit(Method):
         problem = motion_problem(records, task.joint, task.filtering, task.parameters, delay)
         motions: list[MeasuredMotion] = [_keep_reversals(log).motion for log in problem.logs]
         if task.joint.springs:
-            # From a rigid joint below the resonance.
-            slow, cutoff = Filtering(cutoff=max(map(rigid_cutoff, records))), problem.filtering.cutoff or 0.0
-            rigid = motion_problem(records, task.joint.rigid, slow, task.joint.rigid.parameters, delay)
-            values = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values
-            row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
-            near = search_spring(problem.roughly(), [(values, row)], problem.filtering, history)
-            found = history.solve(problem, near.x).solution
+            found = _search_spring(records, problem, history).solution
         else:
             try:
                 found = _fit_rigid(problem, history).solution
@@ -171,6 +165,15 @@ class DriveSideFit(Method):
 
 def _keep_reversals(log: Any) -> Any:
     return log.with_rows(moving_weights((log.motion.v * log.motion.counts)[:, 0])[:, np.newaxis])
+
+
+def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, history: History) -> Solved:
+    """Search from a rigid joint below the resonance; return the end."""
+    joint, slow, delay = problem.joint, Filtering(cutoff=max(map(rigid_cutoff, records))), problem.around[-1]
+    rigid = motion_problem(records, joint.rigid, slow, joint.rigid.parameters, delay)
+    values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
+    row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
+    return history.solve(problem, search_spring(problem.roughly(), [(values, row)], problem.filtering, history).x)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:

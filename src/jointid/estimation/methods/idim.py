@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,6 @@ from jointid.estimation.problems.inverse_model import (
     filter_motion,
     inverse_of_joint,
     inverse_of_robot,
-    join_rows,
     through_window,
     turn,
 )
@@ -176,33 +174,27 @@ class IDIM(Method):
     ) -> Estimate:
         """Estimate of a joint or robot; `state` makes rows and other parts."""
         estimator: Estimator = self.estimator or ("weighted" if inverse.driven * len(logs) > 1 else "ols")
-        pieces, make, solved = [inverse.pieces(log, filtering) for log in logs], None, None
-        first = [own[0]() for own in pieces]
-        common = min((motion.filtering for motion in first), key=lambda one: one.cutoff or np.inf)
-        if any(motion.filtering != common for motion in first):
-            pieces = [inverse.pieces(log, common) for log in logs]
+        motions, make, solved = [inverse.measure(log, filtering) for log in logs], None, None
+        common = min((motion.filtering for motion in motions), key=lambda one: one.cutoff or np.inf)
+        if any(motion.filtering != common for motion in motions):
+            motions = [inverse.measure(log, common) for log in logs]
         if estimator == "iv" and loop is not None:
-            pieces = [[cache(measure) for measure in own] for own in pieces]  # a simulation takes more memory
-            make = simulate_columns(inverse, loop, logs, pieces)
-        rows, ends = inverse.rows(measure() for own in pieces for measure in own), np.cumsum([*map(len, pieces)])
-        rows = replace(rows, series=tuple(sum(one.tolist()) for one in np.split(rows.series, ends[:-1])))
+            make = simulate_columns(inverse, loop, logs, motions)
+        rows = inverse.rows(motions if make else [part for motion in motions for part in motion.split()])
+        rows = rows if len(logs) > 1 else replace(rows, series=())  # of several, parts of long ones count as records
         if ENCODER_OFFSET in inverse.parameters:
             with suppress(MethodError):  # nothing separates it from the other forces
                 solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET}, make)
         slight = 1e-3 * float(np.sqrt(np.mean(rows.Y**2)))  # as much is left by filters
         if solved is None or not abs(solved.values[-1]) > max(SHOWN * solved.covariance.std[-1], slight):
             solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET.fix(0.0)}, make)
-        free, values, n = solved.free, solved.values, inverse.driven
-        measured, predicted = list[FloatArray](), list[FloatArray]()
-        for motion in (measure() for own in pieces for measure in own):
-            measured.append(motion.read_as(solved.timing).torque[:, :n])
-            predicted.append(through_window(inverse.columns(motion)[:, :n] @ values, common))
-        limit, model = min(one.limit for one in first), "flexible" if rows.equations > rows.driven else "rigid"
+        free, values = solved.free, solved.values
+        limit, model = min(one.limit for one in motions), "flexible" if rows.equations > rows.driven else "rigid"
         end = "settled" if solved.converged else "still changing"
         made = build_estimate(
             records=[record for log in logs for record in log],
             correlation=solved.covariance.correlation[np.ix_(free, free)],
-            torques=(np.vstack(measured), np.vstack(predicted)),
+            torques=torques_along(inverse, motions, solved),
             error=solved.rows.relative_errors(values),
             fitted=solved.residual.size,
             end=(f"{end} after {pluralise(solved.turns, 'solution')}", solved.converged),
@@ -211,7 +203,7 @@ class IDIM(Method):
             settings=Settings(
                 self.name, VARIANTS[estimator], inverse.system, None, common, inverse.delay, timing=solved.timing
             ),
-            warnings=(*solved.said, *describe_noise_limit(common, limit, first[0].sample_time, model), *warnings),
+            warnings=(*solved.said, *describe_noise_limit(common, limit, motions[0].sample_time, model), *warnings),
             **state(solved),
             **parts,
         )
@@ -229,10 +221,20 @@ def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
     return check_of(Subject.INSTRUMENTS, not rejected, Reason.MOTION_MEASURED, said, {"p_value": p_value})
 
 
+def torques_along(
+    inverse: Inverse, motions: Sequence[MeasuredMotion], found: Solution
+) -> tuple[FloatArray, FloatArray]:
+    """Measured and modelled torques of the motors as logged, (samples, n) each."""
+    n, measured, predicted = inverse.driven, list[FloatArray](), list[FloatArray]()
+    for motion in (part for whole in motions for part in whole.split()):
+        predicted.append(through_window(inverse.columns(motion)[:, :n] @ found.values, motion.filtering))
+        measured.append(motion.read_as(found.timing).torque[:, :n])
+    return np.vstack(measured), np.vstack(predicted)
+
+
 def simulate_columns(
-    inverse: Inverse, loop: ClosedLoop | RobotLoop, logs: Sequence[Sequence[Record]],
-    pieces: Sequence[Sequence[Callable[[], MeasuredMotion]]],
-) -> Instruments:  # fmt: skip
+    inverse: Inverse, loop: ClosedLoop | RobotLoop, logs: Sequence[Sequence[Record]], motions: Sequence[MeasuredMotion]
+) -> Instruments:
     """Function that computes instruments: columns along a candidate's simulated motion.
 
     Parameters outside of their bounds are simulated at the bound. Rows at which a measured mass rests or reverses
@@ -245,23 +247,19 @@ def simulate_columns(
     bounds, experiments = Bounds.of(inverse.parameters.parameters), [prepare(loop, log) for log in logs]
 
     def instruments(values: FloatArray) -> FloatArray:
-        numbers, W = inverse.parameters.numbers(bounds.clip(values)), list[FloatArray]()
-        for experiment, own in zip(experiments, pieces, strict=True):
-            motions = [measure() for measure in own]
-            first = Initial(float(motions[0].q[0, 0]), float(motions[0].v[0, 0]))
-            run = run_loop(experiment, numbers, first if experiment.tree is None else None, keep=True)
+        numbers, each = inverse.parameters.numbers(bounds.clip(values)), list[FloatArray]()
+        for experiment, motion in zip(experiments, motions, strict=True):
+            initial = Initial(float(motion.q[0, 0]), float(motion.v[0, 0])) if experiment.tree is None else None
+            run = run_loop(experiment, numbers, initial, keep=True)
             if run.outcome is not Outcome.FINISHED:
                 raise MethodError(
                     f"The instruments of IV come from a simulation, but with these values {run.outcome.value}; check "
                     "the controllers' gains, or use another estimator."
                 )
-            ends = np.cumsum([len(motion.q) for motion in motions])
-            positions = motion_at(run, experiment.clock.log_index).position[: ends[-1]]
-            whole = np.pad(positions, ((0, ends[-1] - len(positions)), (0, 0)), "edge")
-            moved = filter_motion(whole, motions[0].sample_time, motions[0].filtering)
-            for motion, q, v, a in zip(motions, *(np.split(one, ends[:-1]) for one in moved), strict=True):
-                at = turn(inverse.system, replace(motion, q=q, v=v, a=a))
-                W.append(motion.decimate_columns(inverse.columns(at)))
-        return join_rows(W, motions[0].q.shape[1])
+            size, positions = len(motion.q), motion_at(run, experiment.clock.log_index).position[: len(motion.q)]
+            whole = np.pad(positions, ((0, size - len(positions)), (0, 0)), "edge")
+            q, v, a = filter_motion(whole, motion.sample_time, motion.filtering)
+            each.append(inverse.columns(turn(inverse.system, replace(motion, q=q, v=v, a=a))))
+        return inverse.rows(motions, each).W
 
     return instruments

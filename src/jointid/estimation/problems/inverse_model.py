@@ -3,7 +3,7 @@
 Butterworth low-pass forwards and backwards on the positions, derivatives, borders dropped, the same
 low-pass-and-decimate on torque and every column [P section III; EMPS report]. A rigid joint needs the motor's
 position, a flexible one the load's too: both rows of (2) are then stacked. A robot has a row for each joint.
-A long record is measured piece by piece, so that memory holds one piece and the decimated rows (`Inverse.pieces`).
+Of a long record the columns are made part by part, so that memory holds those of one part and the decimated rows.
 
 Torque and columns are seen through one window (`filtering.window_torque`), so that a held, averaged or delayed torque
 is compared with the motion it made. The published pipeline reads it as sampled and differentiates twice centrally.
@@ -17,8 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
-from itertools import pairwise, repeat
+from itertools import pairwise
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -34,7 +33,6 @@ from jointid.models.position_forces import Motion
 from jointid.models.robots.base_parameters import inverse_columns
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
-from jointid.records.chunks import cut
 from jointid.records.columns import finite_faults
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import (
@@ -63,20 +61,11 @@ REST = 0.02
 
 SAID = 0.02  # of a record: a larger share of rest is said
 SMEAR = 0.6  # of the position filter's period: from there on the errors of a filtered step add up to 0
-LARGEST = 600_000
-"""Samples of all joints' records that are identified at once, in about 1 GiB for a joint; longer ones go in windows."""
+BLOCK = 2_400_000
+"""Samples times the square of n masses or joints of a motion whose columns are made at once; see `split`."""
 
-WINDOW = 60_000
-"""Samples of all joints in a window of such a record, of which one is checked."""
-
-_FEW = 0.1  # of a joint's moving samples: if less were left without reversals, these stay; not of a piece at rest
+_FEW = 0.1  # of the moving samples: if less were left without reversals, these stay
 TOLD = 0.05  # of a row's weight: what holds less is of rest
-
-
-def is_long(records: Sequence[Record]) -> bool:
-    """Test for records of one clock with more than `LARGEST` samples."""
-    clocks = {(len(channel), round(channel.sample_time, 12)) for one in records for _, channel in one.items()}
-    return len(clocks) == 1 and min(clocks)[0] * len(records) > LARGEST
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +83,6 @@ class MeasuredMotion:
         raw: (samples, n) positions as measured.
         if_sampled: (samples, n) change of torques of unstated timing if read as sampled, not held; else 0.
         counts: (samples, n) 0 where the record is left out, else 1.
-        fast: (n,) root mean square speeds of the motors' whole motion.
         apart: whether rows at which no mass moves are left out, as of a joint; else they are 0.
         told: least weight of a row that is not at rest.
     """
@@ -110,7 +98,6 @@ class MeasuredMotion:
     raw: FloatArray
     if_sampled: FloatArray
     counts: FloatArray
-    fast: FloatArray
     apart: bool = False
     told: float = TOLD
 
@@ -134,6 +121,13 @@ class MeasuredMotion:
     def read_as(self, timing: Timing | None) -> MeasuredMotion:
         """The motion with torques of unstated timing read as `timing`, or held."""
         return replace(self, torque=self.torque + self.if_sampled) if timing is Timing.SAMPLED else self
+
+    def split(self) -> list[MeasuredMotion]:
+        """Split a long motion into parts whose columns fit in memory."""
+        size, n = self.q.shape
+        count = math.ceil(size * n * n / BLOCK)
+        ends = np.linspace(0, size, count + 1).astype(int)
+        return [self.cut(*span) for span in pairwise(ends)]
 
     def decimate_joint(self, joint: int, columns: FloatArray) -> FloatArray:
         """Decimate one equation's columns, (samples, columns); rest is 0 or excluded."""
@@ -168,37 +162,16 @@ class Inverse:
         """Return the motion of a log; see `measure_motion`."""
         return measure_motion(self.system, records, filtering, delay=self.delay)
 
-    def pieces(self, records: Sequence[Record], filtering: Filtering) -> list[Callable[[], MeasuredMotion]]:
-        """Pieces of a long log, each measured anew when it is called; a short log is one."""
-        if not is_long(records):
-            return [cache(partial(self.measure, records, filtering))]
-        names = POSITIONS if getattr(self.system, "springs", ()) else POSITIONS[:1]
-        size, step = next((len(channel), channel.sample_time) for _, channel in records[0].items())
-        seen = (channel.values for record in records for name, channel in record.items() if name in names)
-        limit = find_noise_limit(seen, step)
-
-        def measure(first: int, end: int, margin: int, fast: FloatArray | None) -> MeasuredMotion:
-            begin = max(first - margin, 0)
-            some = [cut(record, begin, end + margin) for record in records]
-            motion = measure_motion(self.system, some, filtering, delay=self.delay, known=(limit, fast))
-            return motion.cut(first - begin, end - begin)
-
-        spans = [*pairwise(np.linspace(0, size, size * len(records) // WINDOW + 1).astype(int).tolist())]
-        each = [(len(one.q), one.fast, one.filtering) for one in (measure(*span, 0, None) for span in spans)]
-        sizes, speeds, (resolved, *_) = zip(*each, strict=True)
-        fast = np.sqrt(np.average(np.square(speeds), axis=0, weights=sizes))
-        margin = math.ceil(10.0 / (resolved.position_cutoff * step))
-        return [partial(measure, *span, margin, fast) for span in spans]
-
-    def rows(self, motions: Iterable[MeasuredMotion], columns: Iterable[FloatArray | None] = repeat(None)) -> Rows:
+    def rows(self, motions: Sequence[MeasuredMotion], columns: Iterable[FloatArray] | None = None) -> Rows:
         """Regression along the motions of logs, by default of their own columns."""
-        W, torques, n = list[FloatArray](), list[FloatArray](), 1
-        for motion, each in zip(motions, columns, strict=False):
-            n = motion.q.shape[1]
-            W.append(motion.decimate_columns(self.columns(motion) if each is None else each))
-            torques.append(decimate_each(motion, np.stack([motion.torque.T, motion.if_sampled.T], axis=2)))
-        (Y, early), series = join_rows(torques, n).T, tuple(len(each) // n for each in W)
-        return Rows(Y, join_rows(W, n), self.parameters.names, n, self.driven, series, early if np.any(early) else None)
+        pairs, n = zip(motions, columns or map(self.columns, motions), strict=True), motions[0].q.shape[1]
+        columns = [motion.decimate_columns(each) for motion, each in pairs]
+        W, series = join_rows(columns, n), tuple(len(each) // n for each in columns)
+        torques = [
+            decimate_each(motion, np.stack([motion.torque.T, motion.if_sampled.T], axis=2)) for motion in motions
+        ]
+        Y, early = join_rows(torques, n).T
+        return Rows(Y, W, self.parameters.names, n, self.driven, series, early if np.any(early) else None)
 
 
 def turn(system: Joint | Robot, motion: MeasuredMotion) -> MeasuredMotion:
@@ -246,7 +219,6 @@ def motion_along(
     delays: Sequence[float] = (0.0,),
     model: str = "rigid",
     counts: FloatArray | float = 1.0,
-    known: tuple[float, FloatArray | None] | None = None,
 ) -> MeasuredMotion:
     """Motion along raw positions, (samples, n), with the torques.
 
@@ -257,12 +229,11 @@ def motion_along(
         delays: seconds from each logged torque to the acting torque, or one for all.
         model: "rigid" or "flexible", for the default cut-offs.
         counts: (samples, n) or (samples, 1), 0 at excluded samples.
-        known: of a piece of a long log, noise limit and `fast` of the whole; None for those of the piece.
     """
     from scipy.ndimage import minimum_filter1d
 
     measured, more, sample_time = np.zeros(positions.shape), np.zeros(positions.shape), torques[0].sample_time
-    (limit, fast), size = known or (find_noise_limit(positions.T, sample_time), None), len(positions)
+    limit, size = find_noise_limit(positions.T, sample_time), len(positions)
     filtering = filtering.resolve(sample_time, model, limit)
     for j, (torque, delay) in enumerate(zip(torques, np.resize(delays, len(torques)), strict=True)):
         read = [torque.values]
@@ -270,12 +241,11 @@ def motion_along(
             ways = [torque.timing] if torque.stated else [Timing.HELD, Timing.SAMPLED]
             read = [window_torque(replace(torque, timing=way), delay) for way in ways]
         measured[:, j], more[:, j] = read[0][:size], (read[-1] - read[0])[:size]
-    q, v, a = filter_motion(positions, sample_time, filtering)
+    moved = filter_motion(positions, sample_time, filtering)
     # The filter of the positions, which may go over torques, too, smears what is left out by a period.
     reach = math.ceil(1.0 / ((filtering.position_cutoff or math.inf) * sample_time))
     counts = minimum_filter1d(np.broadcast_to(counts, positions.shape), 2 * reach + 1, axis=0)
-    fast = np.sqrt(np.mean((v * counts) ** 2, axis=0)) if fast is None else fast
-    return MeasuredMotion(q, v, a, measured, counts, sample_time, filtering, limit, positions, more, counts, fast)
+    return MeasuredMotion(*moved, measured, counts, sample_time, filtering, limit, positions, more, counts)
 
 
 def torque_and_positions(
@@ -331,6 +301,19 @@ def inverse_of_joint(joint: Joint, delay: float = 0.0, parameters: tuple[Paramet
 
     every = (*own, ENCODER_OFFSET) if joint.model == "flexible" else own
     return Inverse(joint, Parameters.of_joint(joint, every), columns, delay=delay)
+
+
+def _late(record: Record, delay: float, period: float) -> float:
+    """Time from a logged torque's stamp to its effect, s.
+
+    A measured torque is the acting one. With a delay of a fractional number of periods it began within the period
+    before the sample that shows it, and an average over that period is stamped at its end.
+    """
+    if record.tap is not Tap.MEASURED:
+        return delay
+    fraction = delay / period % 1.0
+    averaged = record.torque is not None and record.torque.timing is Timing.AVERAGED
+    return 0.0 if averaged or min(fraction, 1 - fraction) < 1e-6 else (fraction - 1.0) * period
 
 
 # A robot
@@ -389,7 +372,6 @@ def measure_motion(
     delay: float = 0.0,
     model: str = "rigid",
     smear: float = SMEAR,
-    known: tuple[float, FloatArray | None] | None = None,
 ) -> MeasuredMotion:
     """Measure the motion of a joint or robot, and its motors' torques.
 
@@ -401,7 +383,6 @@ def measure_motion(
         delay: seconds from the controller's output to the torque that acts.
         model: of a robot's joints, for the default cut-offs: "rigid" or "flexible".
         smear: periods of the position filter on each side of a rest or a reversal that are left out with it.
-        known: of a piece of a long log; see `motion_along`.
 
     Raises:
         RecordError: a channel is missing, not sampled, or at another rate; or the joints' records have not one clock.
@@ -430,24 +411,16 @@ def measure_motion(
         )
     sample_time, size = channels[0].sample_time, min(map(len, positions))
     raw, springs = np.column_stack([position[:size] for position in positions]), joints[0].model == "flexible"
-    # A measured torque is the acting one. With a delay of a fractional number of periods it began within the period
-    # before the sample that shows it, and an average over that period is stamped at its end.
-    fraction = delay / sample_time % 1.0
-    began = 0.0 if min(fraction, 1 - fraction) < 1e-6 else (fraction - 1.0) * sample_time
-    delays = [
-        delay if record.tap is not Tap.MEASURED else 0.0 if channel.timing is Timing.AVERAGED else began
-        for record, channel in zip(records, channels, strict=True)
-    ]
+    delays = [_late(record, delay, sample_time) for record in records]
     counts = np.column_stack([record.counts(size, sample_time) for record in records])
-    motion = motion_along(channels, raw, filtering, delays, model if robot else joints[0].model, counts, known)
+    motion = motion_along(channels, raw, filtering, delays, model if robot else joints[0].model, counts)
     if filtering.timing == "respected":  # the published pipeline takes all rows
-        moving, steady = steady_weights(motion, smear, _FEW if robot is None and known is None else 0.0)
+        moving, steady = steady_weights(motion, smear, _FEW if robot is None else 0.0)
         # A spring smooths the jump of the load's acceleration; there the rows about reversals show the stiffness.
         motion = replace(motion, moving=(moving if springs else steady) * motion.counts, apart=robot is None)
     if robot is None:
         return motion
-    if known is None:
-        require_torques(robot, [channel.values for channel in channels])
+    require_torques(robot, [channel.values for channel in channels])
     motion = turn(robot, motion)
     if payload := records[-1].payload:  # its torque is known
         last = slice(-len(SYMBOLS) - len(robot), -len(robot))
@@ -459,9 +432,7 @@ def measure_motion(
 # Samples at rest or at a reversal, at which sticking friction does not follow ``Fc sign(v)``
 
 
-def moving_weights(
-    velocity: FloatArray, long: int = 3, reach: int = 3, *, turning: bool = False, fast: float | None = None
-) -> FloatArray:
+def moving_weights(velocity: FloatArray, long: int = 3, reach: int = 3, *, turning: bool = False) -> FloatArray:
     """Weights of samples: 0 while a mass rests, else 1.
 
     Args:
@@ -469,12 +440,11 @@ def moving_weights(
         long: samples in a row that are a rest.
         reach: samples on each side that count with it.
         turning: whether a reversal, which is between two samples, counts as a rest.
-        fast: root mean square speed; without it the velocity's.
     """
     from scipy.ndimage import grey_dilation, grey_opening
 
     speed = np.abs(velocity)
-    slow = (speed < REST * (float(np.sqrt(np.mean(speed**2))) if fast is None else fast)).astype(np.float64)
+    slow = (speed < REST * float(np.sqrt(np.mean(speed**2)))).astype(np.float64)
     left = grey_dilation(grey_opening(slow, (long,), mode="constant"), (2 * reach + 1,), mode="constant")
     if turning:
         way = np.sign(velocity)
@@ -500,9 +470,8 @@ def steady_weights(motion: MeasuredMotion, smear: float = SMEAR, few: float = _F
     assert motion.filtering.position_cutoff is not None
     reach = math.ceil(smear / (motion.filtering.position_cutoff * motion.sample_time))
     long = max(20, 4 * reach)  # samples in a row that are a rest before filtered positions
-    each = [*zip((motion.v * motion.counts).T, motion.fast.tolist(), strict=True)]
     moving, steady = (
-        np.column_stack([moving_weights(v, long, reach, turning=turning, fast=fast) for v, fast in each])
+        np.column_stack([moving_weights(v, long, reach, turning=turning) for v in (motion.v * motion.counts).T])
         for turning in (False, True)
     )
     return moving, np.where(np.mean(steady, axis=0) < few * np.mean(moving, axis=0), moving, steady)

@@ -461,7 +461,7 @@ class Estimate(Documented):
 
 def fingerprint(torque: FloatArray) -> str:
     """SHA-256 of a torque's samples, which identifies a record."""
-    return hashlib.sha256(np.ascontiguousarray(torque).data).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(torque).tobytes()).hexdigest()
 
 
 def law_fingerprint(loop: ClosedLoop) -> str:
@@ -562,16 +562,14 @@ def build_estimate(
     errors, names = np.atleast_1d(error), () if robot is None else robot.model.names
     logs = [read[at : at + errors.size] for at in range(0, len(read), errors.size)]
     by_axis = dict(zip(names, map(float, errors), strict=False))
-    shown = [measured, predicted]
-    if any(one.left_out for one in records):
-        counts = [one.counts(len(one.torque), one.torque.sample_time) for one in records[:: errors.size] if one.torque]
-        shown = [(one.T * np.concatenate(counts)[: len(one)]).T for one in shown]
+    counts = [one.counts(len(one.torque), one.torque.sample_time) for one in records[:: errors.size] if one.torque]
+    counted = np.concatenate(counts)[: len(measured)]
     nominals = () if robot is None or nominal is None or not robot.model.has_masses else map(float, nominal)
     if settings.loop is not None:
         injected = ["injected" for record in records if record.injected is not None]
         channels = (*(channels or settings.loop.channels), *injected)
     fit = Fit(
-        measured, predicted, relative_error(shown[0], shown[1], borders),
+        measured, predicted, relative_error((measured.T * counted).T, (predicted.T * counted).T, borders),
         float(np.sqrt(np.mean(errors**2))) if by_axis else float(errors[0]), fitted, simulations, *end,
         axis_errors=by_axis, nominal_errors=dict(zip(names, nominals, strict=False)),
     )  # fmt: skip

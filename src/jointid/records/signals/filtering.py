@@ -37,7 +37,7 @@ _PULL = 1e-4  # largest share of noise in the acceleration's power, and thereby 
 _SEEN = 10.0  # smallest ratio of acceleration to noise in an octave with motion
 _MARGIN = 2.0  # ratio of the lowest noise limit to the highest frequency of the motion
 _NOISE = 0.1  # of the sampling frequency: above it noise is measured, since no default cut-off passes motion
-_PARTS = 4  # parts of the record whose spectra are averaged, at least
+_PARTS = 4  # parts of the record whose spectra are averaged
 _FEWEST = 256  # fewest samples for an averaged spectrum
 
 
@@ -311,11 +311,12 @@ def find_noise_limit(positions: Iterable[FloatArray], sample_time: float, deriva
     from scipy.signal import welch
 
     allowed, needed = math.inf, 0.0
-    for position in (one for one in positions if one.size >= _FEWEST):
-        size = min((position.size - 2) // _PARTS, 2**16)  # longer parts take memory
-        parts = [position[k : k + size + 2] for k in range(0, position.size - 1 - size, size - size // 2)]
-        powers = (welch(np.diff(part, 2), 1 / sample_time, nperseg=size)[1][1:] for part in parts)
-        frequency, power = np.fft.rfftfreq(size, sample_time)[1:], np.asarray(sum(powers)) / len(parts) / sample_time**4
+    for position in positions:
+        if position.size < _FEWEST:
+            continue
+        size = (position.size - 2) // _PARTS
+        frequency, power = welch(np.diff(position, 2) / sample_time**2, 1 / sample_time, nperseg=size)
+        frequency, power = frequency[1:], power[1:]
         shape = (2 * np.sin(np.pi * frequency * sample_time) / sample_time) ** 4
         above = frequency >= _NOISE / sample_time
         noise = float(np.median(power[above] / shape[above])) * shape
