@@ -247,8 +247,8 @@ def find_causes(
         if fit.case.change is not None
         for cause in fit.case.change.say(fit.number, declared)
     ]
-    least = min((one.left for one in candidates), default=math.inf)
-    if not flexible or least > _MORE * responses:
+    best = min(candidates, key=lambda one: one.left, default=None)
+    if not flexible or best is None or best.left > _MORE * responses or best.name == "position_gain":  # without a lag
         with contextlib.suppress(*FAILS):
             moved = replace(declared.record, motor_position=declared.record.reference, load_position=None)
             one = identify_record(moved, loop.joint, DriveSideFit() if flexible else IDIM(), declared.filtering)
