@@ -243,14 +243,13 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress, all_o
     if len(fit.records) != len(part.model):
         return _untested("not checked: several records were identified in one fit"), (), None
     progress("checking controllers and torques")
-    controllers, settings, said = getattr(part.setup, "controllers", ()), fit.settings, list[Widening]()
+    controllers, tested = getattr(part.setup, "controllers", ()), fit
     try:
-        if not all_of and (begun := begin_checked(fit.records, controllers)) is not fit.records:
-            solved = solve_again(part, begun, settings.filtering) if settings.simulates else None
-            fit, said = replace(fit, records=tuple(begun), solved=solved), [({}, _PART.format(begun[0].duration))]
-        found = diagnose_robot(fit, fit.records)
-    except FAILS as error:
-        return _untested(f"not checked: {error}"), (), None
+        if (begun := fit.records if all_of else begin_checked(fit.records, controllers)) is not fit.records:
+            tested = replace(fit, solved=fit.solved and solve_again(part, begun, fit.settings.filtering))
+        found = diagnose_robot(tested, begun)
+    except (*FAILS, ValueError) as error:  # as of an axis that rests at first
+        return (_untested(f"not checked: {error}"), (), None) if all_of else _check_robot(fit, part, progress, True)
     rest = [] if found.cause is None else [Message(Reason.CAUSE_FOUND, found.cause.words)]
     if bad := [joint.name for joint in found.axes if not joint.explained]:
         left = f"what the model leaves of the torque of {join(bad)} is no noise"
@@ -267,8 +266,9 @@ def _check_robot(fit: Estimate, part: IdentifiedRobot, progress: Progress, all_o
     elif controllers:
         good = "the declared controllers make the logged torques of the positions"
         checks += checks_of(Subject.LOOP, True, Message(Reason.LOOP_AS_DECLARED, good))
+    said: list[Widening] = [({}, _PART.format(begun[0].duration))] * (tested is not fit)
     with contextlib.suppress(*FAILS):
-        said[:0] = widen_for_undeclared(fit, found)
+        said[:0] = widen_for_undeclared(tested, found)
     return checks, said, found
 
 

@@ -20,7 +20,7 @@ _FEWEST_MOVES = 3  # fewest steps other than jumps
 _SAFE_STEP = 0.4  # largest step as a share of the wrap: from a half on, its direction is ambiguous
 _BEYOND_WRAP = 1e-2  # tolerated excess of the range over the wrap, relative
 _WHOLE_RANGE = 0.6  # of the range of a column: a larger step may be a wrap
-_ALIKE = 0.02  # largest spread of the jumps, or distance of a few from 2^n, as a share of the wrap
+_ALIKE = 0.02  # largest spread of the jumps, as a share of the wrap
 _AGAINST = 0.8  # smallest share of the jumps that oppose a steady motion
 _KNOWN_WRAP, _PART_OF_TURN = 2e-3, 1e-4  # largest relative distance of a jump from a known wrap
 _WORDS = (2.0**8, 2.0**11, 2.0**16, 2.0**32)  # ranges of logged integers; a ten-bit load has its sign in bit 11
@@ -181,7 +181,7 @@ def find_wrap(values: FloatArray, turn: float) -> tuple[float, bool] | None:
 def restore_sign(values: FloatArray) -> FloatArray | None:
     """Restore the sign of unsigned whole numbers, (samples,), or return None.
 
-    A negative number was read as an unsigned word, 2^n larger, or has a sign bit: it jumps at 0, by 2^n where seldom.
+    A negative number was read as an unsigned word, 2^n larger, or has a sign bit: it jumps at 0.
     """
     whole = np.all(values >= 0) and np.all(values == np.round(values))
     found, fastest = None, _SAFE_STEP * float(np.max(np.abs(np.diff(values)), initial=0.0))
@@ -189,7 +189,7 @@ def restore_sign(values: FloatArray) -> FloatArray | None:
         sign = values >= size / 2
         for signed in (values - size * sign, np.where(sign, size / 2 - values, values)):
             step = float(np.max(np.abs(np.diff(signed))))
-            if step < (fastest if np.count_nonzero(np.diff(sign)) > _FEWEST_MOVES else _ALIKE * size):
+            if step < fastest and np.count_nonzero(np.diff(sign)) > _FEWEST_MOVES:
                 found, fastest = signed, step
     return found
 
