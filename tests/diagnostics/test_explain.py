@@ -155,8 +155,10 @@ def test_a_gross_fault_that_has_a_cause_is_not_corrected(monkeypatch: pytest.Mon
     monkeypatch.setattr("jointid.diagnostics.search.test_laws", lambda _: [])
     for mistake, corrected in (("delay forgotten", True), ("torque constant said twice", False)):  # a time is
         record, loop = BY_NAME[mistake].make(axis("rigid"), 1)
-        *_, last = faults_of(identify(record, loop), record, explain=lambda found: found[-1].value is None).findings
+        estimate = identify(record, loop)
+        *_, last = faults_of(estimate, record, explain=lambda found: found[-1].value is None).findings
         assert (last.value is not None) is corrected
+        assert len(faults_of(estimate, record, explain=lambda _: True).findings) == 1  # its cause ends the search
 
 
 def test_a_law_is_the_answer_where_a_record_is_too_short_for_free_responses() -> None:

@@ -137,7 +137,7 @@ class Causes:
 def explain_misfit(
     estimate: Estimate, record: Record, findings: Sequence[Finding] | None, progress: Progress = ignore_progress
 ) -> Sequence[Causes | None]:
-    """Causes of a misfit, None if there are none; empty if they are not searched for.
+    """Causes of a misfit; None without one, empty without a search.
 
     A large misfit without a cause is reported as well, so that no other test is blamed. `findings`: None if unchecked.
     """
