@@ -64,7 +64,8 @@ _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
 _LITTLE, _PROMISED = 0.01, 0.25  # of the squares, and of what a case lacks to the best: a step that is worth it
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
-_BEHIND = 2.5  # times the least error: a case with more after its first steps is given up
+# Times the least error, and of the torque: a case with more after its first steps is given up
+_BEHIND, _HOPELESS = 2.5, 0.6
 _ROUGHLY, _SWINGS = 0.05, 10.0  # of the torque: what a rigid model of a flexible joint adds; periods of its cut-off
 _FASTEST = 5e-4  # s of a period: a faster law is as fast as the log, or counts or holds samples, or waits for the end
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate
@@ -373,7 +374,7 @@ def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> list[Fit]:
     tried = _best_of_each(fit for fit in in_threads(Fit.begin, [*begun]) if fit.error < _ASTRAY)
     fits = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW, _LITTLE), tried)))
     least = fits[0].error if fits else 0.0
-    for k, fit in enumerate(fits):
+    for k, fit in enumerate(fits if least < _HOPELESS else ()):
         goal = max(_AS_GOOD * least, least + loss)
         if fit.error <= max(_BEHIND * least, goal):
             lacks = 1.0 - (goal / (max(fit.error, goal) or 1.0)) ** 2
