@@ -287,7 +287,7 @@ def search_spring(
         x, together = divided, 1
     found = history.solve(on, x, rough if together < 2 else None)
     # An end that no second start leads to is refused, as is a mode too fast, or too much damped: none is worth a step.
-    followed = _mode_of(found.values, on.sample_time) <= FASTEST / on.sample_time and found.norm < rough.poor
+    followed = _mode_of(found.values, on.sample_time) <= FASTEST / on.sample_time and found.norm < poor * on.size
     while followed and together < 2 and tried < len(ends) + _BESIDE:
         values = found.values  # softer, more damped, with a heavier load
         moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
