@@ -31,10 +31,8 @@ Profiles: TypeAlias = tuple[ProfileInterval, ...]
 """What `intervals` returns."""
 
 _PARTS = 8  # of the record, each as long as a window of the spectra; windows overlap by half
-_LONGEST = 8192  # samples of a window: a finer resolution adds nothing for a joint
-_SHORTEST = 64
-_LINES = 400  # of the response
-_LOWEST, _ABOVE = 0.1, 3.0  # Hz; times the fastest of the three frequencies, at least
+_LONGEST, _SHORTEST = 8192, 64  # samples of a window: a finer resolution adds nothing for a joint
+_LINES, _LOWEST, _ABOVE = 400, 0.1, 3.0  # of the response; Hz; times the fastest of the three frequencies, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)

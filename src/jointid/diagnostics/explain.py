@@ -64,8 +64,7 @@ _SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for
 _FEW, _TO_ITS_END = 5, 40  # evaluations of the parts of a descent
 _LITTLE, _PROMISED = 0.01, 0.25  # of the squares, and of what a case lacks to the best: a step that is worth it
 _ASTRAY = 3.0  # times the torque: a loop with such a residual runs away
-# Times the least error, and of the torque: a case with more after its first steps is given up
-_BEHIND, _HOPELESS = 2.5, 0.6
+_BEHIND, _HOPELESS = 2.5, 0.6  # times the least error, of the torque: what has more after its first steps is given up
 _ROUGHLY, _SWINGS = 0.05, 10.0  # of the torque: what a rigid model of a flexible joint adds; periods of its cut-off
 _FASTEST = 5e-4  # s of a period: a faster law is as fast as the log, or counts or holds samples, or waits for the end
 _NEAR = (0.5, 1.0, 2.0)  # times the number of the rigid joint, which is approximate

@@ -212,7 +212,8 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     apart = find_part_of_loop(problem, x, record) if faults is None else faults.part
     if apart is not None:
         return _fail(apart), said, found if whole else None
-    if explain(None if faults is None else faults.findings):
+    named = None if faults is None or faults.explained == 0.0 else faults.findings  # 0: a misfit without a fault
+    if explain(named):
         return _fail(*(one.message for one in searched if one is not None)), said, found if whole else None
     law = None if found is None else found.axes[0].law
     if found is not None and not whole:  # what the joint lacks may be the spring that is not identified
@@ -221,9 +222,8 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
         if lacking or seen.explained is not None or seen.part is not None:
             why = "not checked, because the joint is not fully identified; identify it as rigid"
             found, loop = None, _untested(why) if law is None else checks_of(Subject.LOOP, law.holds, law.agreement)
-    named = () if faults is None else faults.findings
     # Friction, play and spring of the joint have no part in what the motor position shows of the law.
-    of_joint = all(fault.of_model for one in named for fault in (one.test.fault, *one.test.alike))
+    of_joint = all(fault.of_model for one in named or () for fault in (one.test.fault, *one.test.alike))
     if of_joint and law is not None and law.agreement.code in (Agreement.DIFFERS, Agreement.SCALED):
         loop = _fail(law.agreement, *(one for one in loop if one.passed is False))
     if record.injected is not None and record.reference is not None:  # it moves the joint, too

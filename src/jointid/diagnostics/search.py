@@ -125,7 +125,8 @@ def search_faults(
         last = findings[-1].test if len(findings) == most > 1 or _leaves_more(found) else last
     enough = _LITTLE * max((one.test.strength**2 for one in findings[:1]), default=0.0)
     vague = last is not None and last.strength**2 > enough
-    findings = [one for one in findings if last is None or vague or one.test.strength**2 > enough]  # no remainder
+    exact = last is None and not any(one.test.fault.tried for one in findings[:1])  # a wave is subtracted in one step
+    findings = [one for one in findings if exact or vague or one.test.strength**2 > enough]  # no remainder
     explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)

@@ -254,9 +254,10 @@ class AxisFaults:
             return (self.part,)
         if self.explained is not None:
             clause = "something is wrong that is none of the known faults"
-            share, alike = number(100 * self.explained, 2), " and ".join(_call(one.test.fault) for one in self.findings)
+            alike = " and ".join(_call(one.test.fault) for one in self.findings)
+            shares = alike and f"; {alike} would explain {number(100 * self.explained, 2)} % of the residual's squares"
             remedy = "of a single joint, compare laws of friction and spring by jointid diagnose --laws"
-            words = f"{clause}: of these, {alike or 'none'} would explain {share} % of the residual's squares; {remedy}"
+            words = f"{clause}{shares}; {remedy}"
             return (Message(Reason.NO_CAUSE_FOUND, words, {"explained": self.explained, "remedy": remedy}, clause),)
         if self.findings:
             return tuple(map(self._describe, self.findings))
