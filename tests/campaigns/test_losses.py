@@ -35,6 +35,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "results.jsonl"
 
 
+@pytest.mark.slow
 def test_a_poisonous_case_is_set_aside_and_named_and_no_other_is_blamed(path: Path, log: Path) -> None:
     made = run_all(path, log, 12, TWO, {3: POISON})
     assert made[Outcome.SET_ASIDE] == 1 and made[Outcome.IDENTIFIED] == 11
@@ -43,6 +44,7 @@ def test_a_poisonous_case_is_set_aside_and_named_and_no_other_is_blamed(path: Pa
     assert len(set(ends(log))) == 11
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_no_result(path: Path, log: Path) -> None:
     killed = threading.Event()
 

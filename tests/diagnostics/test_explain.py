@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.analysis import rebuild_problem
@@ -37,17 +37,6 @@ from tests.mistakes import MISTAKES, MORE, SMOOTH, AxisName, axis, tell, without
 
 SLOW = pytest.mark.slow
 BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
-
-
-@pytest.mark.parametrize("name", ["torque and reference swapped", pytest.param("torque turned round", marks=SLOW)])
-def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: str) -> None:
-    record, loop = BY_NAME[name].make(axis("rigid"), 1)
-    with pytest.raises(JointidError) as raised:
-        identify(record, loop)
-    told = explain_failure(raised.value, record, loop, print)
-    assert type(told) is type(raised.value)
-    assert not str(told).startswith(str(raised.value))
-    assert (str(raised.value) in str(told)) is isinstance(raised.value, FaultsError)
 
 
 @pytest.mark.slow
@@ -134,14 +123,12 @@ def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
     assert not estimate.answer.reliable
 
 
-def test_a_number_that_is_far_off_is_named_behind_a_law_that_explains_nearly_all() -> None:
-    assert "torque_constant" in tell(*BY_NAME["torque constant said twice"].make(axis("rigid"), 1))[0]
-
-
+@pytest.mark.slow
 def test_a_fault_is_none_that_leaves_more_when_it_is_corrected() -> None:
     assert "load_dependent_friction" not in tell(*SMOOTH.make(axis("screw"), 1))[0]
 
 
+@pytest.mark.slow
 def test_a_friction_that_is_smooth_at_rest_is_that_of_stribeck_and_does_not_wind_up() -> None:
     record, loop = SMOOTH.make(axis("rigid"), 1)
     laws = (replace(loop, joint=replace(loop.joint, friction=Friction(law))) for law in ("presliding", "stribeck"))
@@ -151,6 +138,7 @@ def test_a_friction_that_is_smooth_at_rest_is_that_of_stribeck_and_does_not_wind
     assert right.fit.filtered_error < 0.8 * wound.fit.filtered_error and right["stribeck_force"].value < 0.0
 
 
+@pytest.mark.slow
 def test_a_gross_fault_that_has_a_cause_is_not_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jointid.diagnostics.search.test_laws", lambda _: [])
     for mistake, corrected in (("delay forgotten", True), ("torque constant said twice", False)):  # a time is
@@ -161,6 +149,7 @@ def test_a_gross_fault_that_has_a_cause_is_not_corrected(monkeypatch: pytest.Mon
         assert len(faults_of(estimate, record, explain=lambda _: True).findings) == 1  # its cause ends the search
 
 
+@pytest.mark.slow
 def test_a_law_is_the_answer_where_a_record_is_too_short_for_free_responses() -> None:
     said = judge(0, "average", 2.5)
     assert said is not None and said.named[:1] == ("averaged_reference",)
@@ -275,7 +264,7 @@ FIRST: dict[str, tuple[str, tuple[Edit, ...]]] = {  # of 24 mistakes, and of wha
     "wrong column": ("", (log("torque", lambda x: np.roll(x[::-1], 777)),)),
     "encoder": ("reference_is_position", (changes(mistakes.give_position_as_reference),)),
 }
-QUICK = ("none", "torque filter", "notch", "Kv in 1/min", "log late")
+QUICK = ("none", "torque filter")
 
 
 @pytest.mark.parametrize("name", [one if one in QUICK else pytest.param(one, marks=SLOW) for one in FIRST])
@@ -325,9 +314,19 @@ def test_a_gain_that_is_little_off_is_named_only_where_no_test_gives_it() -> Non
     assert not causes[0] and causes[1][0].value == pytest.approx(1.25, rel=0.05)
 
 
+def test_the_cause_of_a_misfit_without_a_fault_is_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, loop = without_mistake(axis("rigid"))
+    [one] = ji.identify(record, loop).diagnosis.axes
+    asked, vague = Mock(return_value=()), replace(one, faults=replace(one.faults, findings=(), explained=0.0))
+    monkeypatch.setattr(identifying, "explain_misfit", asked)
+    monkeypatch.setattr(identifying, "diagnose_joint", lambda *_, **__: Mock(axes=(vague,)))
+    found = ji.identify(record, loop)
+    assert asked.call_args.args[2] is None and "none would" not in str(found.about(Subject.LOOP))
+
+
 @pytest.mark.slow
 def test_a_refused_spring_is_no_reason_to_look_for_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     plant = drive(323, 12.0)
     monkeypatch.setattr(searching, "find_causes", lambda *_, **__: pytest.fail("it was asked"))
     found = ji.identify(plant.record, plant.loop)
-    assert found["stiffness"].value is None and found.checks[-1].passed is None
+    assert found["stiffness"].value is None and found.checks[-1].passed

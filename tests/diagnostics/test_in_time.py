@@ -62,6 +62,7 @@ def test_the_checks_of_a_long_record_read_its_beginning_and_diagnose_reads_all(m
     assert all(2.2 < robot(2, False, way, 1).diagnosis.torques.time[-1] < 3.0 for way in ("loop", "inverse"))
 
 
+@pytest.mark.slow
 def test_a_fault_that_no_correction_lowers_is_not_dropped_beside_a_weaker_friction(monkeypatch: Any) -> None:
     record, find = pushed(0.0).without("motor_position"), search._find
     stuck = lambda found, test: (find(found, test)[0], find(found, test)[1] if test.fault.of_model else found)  # noqa: E731
@@ -76,6 +77,7 @@ def test_a_fault_that_no_correction_lowers_is_not_dropped_beside_a_weaker_fricti
     assert vague.code == Reason.NO_CAUSE_FOUND and vague.values["explained"] > 0.5
 
 
+@pytest.mark.slow
 def test_noise_that_comes_back_is_no_part() -> None:
     plain = pushed(0.0).without("motor_position")
     found = ji.identify(plain, LOOP)
@@ -117,6 +119,7 @@ def identified(travel, eccentric=0.0, on_load=False, gap=0.0, weight=0.0, law=LA
     return ji.identify(record, ji.ClosedLoop(ji.FlexibleJoint("revolute"), law))
 
 
+@pytest.mark.slow
 def test_no_torque_reacts_before_its_law() -> None:
     same = ji.controller.PD(position_gain=10.0, derivative_gain=0.5, reference_velocity="none")
     (loop,) = (one for one in identified(2.0, on_load=True, law=same).checks if one.name is Subject.LOOP)
@@ -125,11 +128,12 @@ def test_no_torque_reacts_before_its_law() -> None:
 
 @pytest.mark.parametrize(("code", "size", "travel", "wrong"), [
     ("eccentric_encoder", 0.03, 2.0, {"eccentric": 0.03}), ("eccentric_encoder", 0.03, 8.0, {"eccentric": 0.03}),
-    ("unlogged_gravity", 0.1, 2.0, {"weight": 0.1}), ("load_encoder", 1.0, 2.0, {"on_load": True}), ("", 0.0, 2.0, {}),
+    ("unlogged_gravity", 0.1, 2.0, {"weight": 0.1}), ("", 0.0, 2.0, {}),
+    pytest.param("load_encoder", 1.0, 2.0, {"on_load": True}, marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_faulty_encoder_and_a_log_without_a_weight_are_named(code, size, travel, wrong):
     estimate = identified(travel, **wrong)
-    found = [(one.test.name, one.test.size) for one in estimate.diagnosis.axes[0].faults.findings[:1]]
+    found = [(one.test.name, one.test.size) for one in estimate.diagnosis.axes[0].faults.findings]
     assert found == [(code, pytest.approx(size, rel=0.25))][: len(wrong)] and (wrong or estimate.answer.reliable)
     assert estimate["stiffness"].interval[0] < 30.0 < estimate["stiffness"].interval[1]
 

@@ -86,7 +86,7 @@ def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Es
 @pytest.mark.parametrize(("fault", "seed", "named"), [
     pytest.param("cubic spring", 3005, "cubic_spring", marks=pytest.mark.slow),
     pytest.param("load-dependent friction", 3003, "load_dependent_friction", marks=pytest.mark.slow),
-    ("second mode", 135, "second_mode"),
+    pytest.param("second mode", 135, "second_mode", marks=pytest.mark.slow),
     pytest.param("presliding", 109, "winding_friction", marks=pytest.mark.slow),
     pytest.param("changing friction", 3003, "changing_friction", marks=pytest.mark.slow),
     pytest.param("backlash", 3010, "backlash", marks=pytest.mark.slow),

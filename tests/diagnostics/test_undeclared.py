@@ -63,6 +63,7 @@ def test_an_interval_holds_a_spring_that_is_hardly_seen_not_to_be_linear():
     assert abs(row.value - TRUE["stiffness"]) < 2 * row.deviation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("log", "law", "what"), [
     (lambda: logged(0.5e-3), LAW, "velocity filter of up to"),
     (lambda: logged(0.0, 0, 0.005, LOSSY, TRUE | {"load_friction_per_torque": 0.1}), LOSSY.controller, "load's torque"),

@@ -114,7 +114,8 @@ def test_a_motion_in_one_direction_determines_no_coulomb_friction() -> None:
     assert coulomb.value == pytest.approx(truth["motor_coulomb"], abs=3 * (coulomb.stderr or 0.0))
 
 
-@pytest.mark.parametrize("seed", [pytest.param(31014, marks=pytest.mark.slow), 70117])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [31014, 70117])
 def test_sums_hold_the_effect_of_a_force_on_a_motor_that_rests(seed: int) -> None:
     """By the residual alone the Coulomb friction was 3.8 deviations off, and the viscous one of the second 5.5."""
     axis = drive(seed, 8.0, "white force")

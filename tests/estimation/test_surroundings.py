@@ -37,6 +37,7 @@ def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
         assert estimate.values[name] == pytest.approx(value, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     where = setting("L19", brief=True)
     made = problem(where, Fault(line_7), None)

@@ -14,6 +14,7 @@ from tests.planning.planned import LOOP, TRUTH, T, planned_record, predict_test
 REFERENCE = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, T, duration=6.0)
 
 
+@pytest.mark.slow
 def test_intervals_scale_as_they_must() -> None:
     test = planned_record(LOOP, REFERENCE, T)
     once = predict_test(LOOP, TRUTH, test, Noise(log=0.01)).covariance.std

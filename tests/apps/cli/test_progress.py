@@ -59,7 +59,7 @@ def end(*_, **__):
 if sys.argv[1] != "loading":
     from jointid.apps.cli import app
     callback = type("Callback", (), {"__del__": end})
-    app.app = end if sys.argv[1] == "loaded" else lambda *_, **__: callback() and time.sleep(9)
+    app.app = end if sys.argv[1] == "loaded" else lambda *_, **__: callback() and time.sleep(1)
 else:
     sys.addaudithook(lambda event, words: words[:1] == ("jointid.apps.cli.app",) and signal.raise_signal(signal.SIGINT))
 main()

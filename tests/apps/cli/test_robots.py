@@ -54,6 +54,7 @@ def write_robot(place: Path, truth: ji.robots.Robot) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_an_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path) -> None:
     joint, found, other = folder / "robot.toml", tmp_path / "found.json", tmp_path / "other.json"
     figure = tmp_path / "torque.svg"

@@ -45,6 +45,7 @@ def test_what_was_said_of_a_record_stays_for_one_with_the_same_columns(asker: As
     assert "record.channels.torque.unit" not in asker.page.now.texts
 
 
+@pytest.mark.slow
 def test_a_mistake_in_the_text_is_refused_and_stays_to_be_mended(asker: Asker, log: bytes) -> None:
     assert send(asker, {"r.toml": ROBOT.encode(), "arm.xml": b"<robot/>", "one.csv": log}) == "joint"
     for text in ("[robot", "record = [1", "a = " + "[" * 400 + "]" * 400):

@@ -231,6 +231,7 @@ def test_noise_of_the_positions_is_neither_a_bent_gear_nor_another_law(seed: int
     assert named(found) == [] and found.as_declared
 
 
+@pytest.mark.slow
 def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
     loop = two().loop()
     records = [Record(torque=one.torque, reference=one.reference) for one in logged_by(loop)]

@@ -42,6 +42,7 @@ def test_the_same_torques(twin: Twin) -> None:
     assert np.max(np.std(theirs - ours, axis=0) / np.std(ours, axis=0)) < 2e-3
 
 
+@pytest.mark.slow
 def test_a_rigid_robot_is_identified_from_torques_by_mujoco() -> None:
     """Of six draws of the noise one has 53 of the 58 parameters within two deviations, the others 57 or 58."""
     twin = six()
