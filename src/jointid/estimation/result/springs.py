@@ -147,17 +147,17 @@ def visible(
         if test.code == "flexible" and not reasons:
             return Visibility(springs_checks((), str(test)))
         reasons = reasons or [str(test)]
-    progress("the record does not show the spring; looking how soft it may be")
-    bounds = bound_all(made or profile_modes(linear, values, found), shares)
-    judged = uncertainty(Influence(slopes, error), where)
-    judged, moved = widen_for_force(judged, rigid, at.x, -slopes)
-    if moved is not None:
+    bounds = list[StiffnessBound]()
+    if left <= (POOR_FIT * problem.size) ** 2:  # else no bound holds, nor a value of the rigid joint
+        progress("the record does not show the spring; looking how soft it may be")
+        bounds = bound_all(made or profile_modes(linear, values, found), shares)
+    judged, moved = widen_for_force(uncertainty(Influence(slopes, error), where), rigid, at.x, -slopes)
+    if bounds and moved is not None:
         change = simulate_mean(rigid, *moved) - rigid.torque(moved[0])
         forced = with_linear_spring(problem.with_log(measured=problem.log.measured - change[:, np.newaxis]))
         beside = bound_all(profile_modes(forced, rigid.values(moved[0]), found), shares)
         bounds = [min(pair, key=lambda one: one.stiffness or 0.0) for pair in zip(bounds, beside, strict=True)]
     checks = springs_checks([f"not identifiable from this record: {reasons[0]}", *reasons[1:]])
-    # Of a rigid joint that does not explain the torque no value holds.
     told = slopes.any(axis=0) & find_separable(slopes) & (np.linalg.norm(error) <= POOR_FIT * rigid.size)
     stated = zip(rigid.free, judged.covariance.std, told, strict=True)
     std = {p.name: float(one) for p, one, seen in stated if seen}
