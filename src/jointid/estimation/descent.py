@@ -212,9 +212,11 @@ def search_rigid_joint(
     # was held before the first sample, for the delay of the drive, is not in the log; it pushes a motor that moves, and
     # is then a part of that velocity. Where the motor moves, the end at rest may have another friction, and where the
     # law is off, the start another state.
+    # A step that gains less than a tenth of one row's noise does not decide whether a motion is significant.
+    near = replace(history, tolerance=max(0.1 / best.solution.residual.size, history.tolerance))
     for there in guess_motions() if best.norm > rounding else ():
-        moved = history.solve(problem, problem.vector({**best.values, **there}))
-        best = moved if is_significant(best, moved) else best
+        moved = near.solve(problem, problem.vector({**best.values, **there}))
+        best = history.solve(problem, moved.x) if is_significant(best, moved) else best
     if best.norm <= rounding:
         exact = replace(best.solution, status=Status.EXACT, message="the torque is reproduced to rounding")
         best = best._replace(solution=exact)

@@ -44,7 +44,6 @@ from jointid.estimation.problems.simulated import ClosedLoopProblem, Simulated, 
 from jointid.estimation.result.agreement import Alone, Window, compare_records, drift
 from jointid.estimation.result.estimate import (
     Estimate,
-    EstimatedParameter,
     Windows,
     build_estimate,
     build_rows,
@@ -718,9 +717,16 @@ def identify_windows(
     if part is None:
         settings = replace(settings, loop=(at := like.loop_at(x)), delay=at.controller.law(sample_time).delay)
     else:
-        values = like.parameters.values(x)
-        part = replace(part, setup=at_estimate(loop, like.parameters, values), values=values)
-    rows, units = _rows_at(began, like, x, covariance, solution), {row.name: row.unit for row in began.rows}
+        own = like.parameters.values(x)
+        part = replace(part, setup=at_estimate(loop, like.parameters, own), values=own)
+    units, values = {row.name: row.unit for row in began.rows}, like.values(x)
+    held = find_active_bounds(like.free, x, solution.residual, solution.jacobian)
+    std = {p.name: float(one) for p, one in zip(like.free, covariance.std, strict=True)}
+    rows = tuple(  # without those of its own record
+        replace(row, value=values[row.name], stderr=std.get(row.name), at_bound=held.get(row.name), lack_of_fit=0.0)
+        for row in began.rows
+        if row.of_joint or row.name in std
+    )
     too_short = [f"{forgets}; give longer windows"] if needed > settled else []
     read = [log.record for log in logs if hasattr(log, "record")] or first
     made = build_estimate(
@@ -740,22 +746,6 @@ def identify_windows(
     )
     data = replace(made.data, resampled=None, windows=span)
     return replace(made, fit=replace(made.fit, passes=len(problem.passes)), data=data, records=())
-
-
-def _rows_at(
-    began: Estimate, like: Simulated, x: FloatArray, covariance: Covariance, solution: Solution
-) -> tuple[EstimatedParameter, ...]:
-    """Rows of an estimate at another solution, without those of its own record."""
-    values = dict(zip(like.parameters.names, map(float, like.parameters.values(x)), strict=True))
-    std = {p.name: float(one) for p, one in zip(like.free, covariance.std, strict=True)}
-    held = find_active_bounds(like.free, x, solution.residual, solution.jacobian)
-    return tuple(
-        replace(
-            row, value=values[row.name], stderr=std.get(row.name), at_bound=held.get(row.name), lack_of_fit=0.0,
-        )
-        for row in began.rows
-        if row.of_joint or row.name in std
-    )  # fmt: skip
 
 
 def _start(

@@ -131,7 +131,7 @@ def _regress(
     borders = _BORDERS if len(torques) > _SHORT else 0
     filtering = replace(problem.filtering, borders=(borders, borders), timing="respected")
     held = [Channel(torque, "N m", problem.sample_time, Timing.HELD) for torque in torques.T]  # its unit is not read
-    motion = motion_along(held, positions, filtering, delays)
+    motion = motion_along(held, positions, filtering, delays, limit=np.inf)  # both cut-offs are known
     # What sticks takes any torque below Coulomb's, which a regression would read as less friction.
     weights = steady_weights(motion)[1]
     if np.mean(weights) >= most:  # else the rest shows less than friction at rest bends

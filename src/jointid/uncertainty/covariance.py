@@ -216,15 +216,15 @@ class Influence:
         order: NDArray[np.intp] | slice = np.argsort(block, kind="stable") if sorts else slice(None)
         Z, slopes, before, block = self.columns[order], self.slopes[order], self.error[order], block[order]
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
-        shares, scores = _products(Z, slopes, first), np.add.reduceat(Z * before[:, np.newaxis], first)
-        unit, norm = np.eye(len(self.spread)), partial(np.linalg.norm, axis=(1, 2))
-        others = unit - self.spread @ shares
-        inverse = np.linalg.inv(others + 1e-15 * np.max(np.abs(others)) * unit)  # hardly ever singular
-        lost = ~(norm(others) * norm(inverse) < 1e6)
-        inverse[lost] = np.linalg.pinv(others[lost], 1e-6)
-        moved = inverse @ (self.spread @ scores[..., np.newaxis])
-        rows = np.diff(first, append=len(block))
-        after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
+        scores, rows = np.add.reduceat(Z * before[:, np.newaxis], first), np.diff(first, append=len(block))
+        unit, norm, moved = np.eye(len(self.spread)), partial(np.linalg.norm, axis=(1, 2)), np.empty_like(scores)
+        for some in np.array_split(np.arange(first.size), first.size * unit.size // 250_000 + 1):  # a few MiB
+            others = unit - self.spread @ _products(Z, slopes, first[some], rows[some])
+            inverse = np.linalg.inv(others + 1e-15 * np.max(np.abs(others)) * unit)  # hardly ever singular
+            lost = ~(norm(others) * norm(inverse) < 1e6)
+            inverse[lost] = np.linalg.pinv(others[lost], 1e-6)
+            moved[some] = (inverse @ (self.spread @ scores[some, :, np.newaxis]))[..., 0]
+        after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved, rows, axis=0))
         # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
         kept = np.add.reduceat(after**2, first) <= 2.0**2 * np.add.reduceat(before**2, first)
         found = np.empty_like(self.error)
@@ -385,9 +385,8 @@ def bartlett_sum(scores: FloatArray, lags: int) -> FloatArray:
     return found
 
 
-def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArray:
+def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp], lengths: NDArray[np.intp]) -> FloatArray:
     """Products ``Z_b' J_b``, (blocks, parameters, parameters), batched over blocks of equal length."""
-    lengths = np.diff(first, append=len(Z))
     found = np.empty((len(first), Z.shape[1], J.shape[1]))
     for length in np.unique(lengths):
         same = np.flatnonzero(lengths == length)

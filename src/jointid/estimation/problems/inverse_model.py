@@ -219,6 +219,7 @@ def motion_along(
     delays: Sequence[float] = (0.0,),
     model: str = "rigid",
     counts: FloatArray | float = 1.0,
+    limit: float | None = None,
 ) -> MeasuredMotion:
     """Motion along raw positions, (samples, n), with the torques.
 
@@ -229,11 +230,12 @@ def motion_along(
         delays: seconds from each logged torque to the acting torque, or one for all.
         model: "rigid" or "flexible", for the default cut-offs.
         counts: (samples, n) or (samples, 1), 0 at excluded samples.
+        limit: Hz, the highest cut-off that noise allows; by default that of the positions.
     """
     from scipy.ndimage import minimum_filter1d
 
     measured, more, sample_time = np.zeros(positions.shape), np.zeros(positions.shape), torques[0].sample_time
-    limit, size = find_noise_limit(positions.T, sample_time), len(positions)
+    limit, size = find_noise_limit(positions.T, sample_time) if limit is None else limit, len(positions)
     filtering = filtering.resolve(sample_time, model, limit)
     for j, (torque, delay) in enumerate(zip(torques, np.resize(delays, len(torques)), strict=True)):
         read = [torque.values]
