@@ -242,9 +242,9 @@ class LawTest:
         return (2 * self.test.size - 1) / self.test.std**2
 
     def explains(self, found: SolvedLoop) -> bool:
-        """Whether the declared law is excluded, and no fault explains it better."""
+        """Whether the declared law is excluded and leaves more, and no fault explains it better."""
         test = self.test
-        if not self.possible or test.size <= 0 or test.p_value > LEVEL:
+        if not self.possible or min(test.size, self.gain) <= 0 or test.p_value > LEVEL:
             return False
         return self.likelihood >= max((one.strength**2 for one in found.tests if one.possible), default=0.0) - RIVAL
 
