@@ -120,7 +120,7 @@ def test_the_torque_constant_is_said_once(changes: list[tuple[str, str]], gain: 
 
 
 def test_behind_a_screw_the_torque_constant_is_the_motors() -> None:
-    screw = [('"revolute"', '"prismatic"'), ("[controller]", '[transmission]\nlead = "10 mm"\n[controller]')]
+    screw = [('"revolute"', '"prismatic"'), ("[controller]", '[transmission]\nlead = "10 mm per turn"\n[controller]')]
     assert loads(changed(*screw)).controller.gain == 0.72
     there = changed(*screw, ("A s/rad", "A s/m")).replace("[controller]", '[controller]\nside = "load"')
     assert loads(there).controller.gain == pytest.approx(0.72 * 2 * math.pi / 0.01)

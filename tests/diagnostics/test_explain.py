@@ -124,11 +124,6 @@ def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
 
 
 @pytest.mark.slow
-def test_a_fault_is_none_that_leaves_more_when_it_is_corrected() -> None:
-    assert "load_dependent_friction" not in tell(*SMOOTH.make(axis("screw"), 1))[0]
-
-
-@pytest.mark.slow
 def test_a_friction_that_is_smooth_at_rest_is_that_of_stribeck_and_does_not_wind_up() -> None:
     record, loop = SMOOTH.make(axis("rigid"), 1)
     laws = (replace(loop, joint=replace(loop.joint, friction=Friction(law))) for law in ("presliding", "stribeck"))

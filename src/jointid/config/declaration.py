@@ -31,6 +31,7 @@ _WRONG: Any = object()  # placeholder of a faulty value
 BARE = {(name, "s"): (2.0, "ms") for name in ("integral_time", "time_constant", "period", "delay")}
 BARE |= {("position_gain", "1/s"): (500.0, "1/min"), ("lead", "m"): (1.0, "mm")}
 """Of a setting: the largest number without a unit, and what it may be in."""
+_PER_TURN = re.compile(r"(?<=[a-z]) *(?:/|per) *(?:turn|rev|revolution|U)$")  # of a lead
 _MEANT = {"P-PI": "cascade", "P-P": "cascade", "rotary": "revolute", "rotation": "revolute", "linear": "prismatic"}
 
 OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
@@ -180,7 +181,7 @@ class Reader:
             stated = units.QUANTITY.fullmatch(raw) if one.type is float and isinstance(raw, str) else None
             if stated is not None and stated["unit"].strip() and list_units(one.unit):  # known or not
                 self.texts[place] = raw, one.unit
-                found = to_si(raw, one.unit)
+                found = to_si(_PER_TURN.sub("", raw) if one.name == "lead" else raw, one.unit)
             else:
                 found = _convert(str if one.choices else one.type, raw)
             if asked and place not in self.texts and found > most:

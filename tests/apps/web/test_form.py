@@ -84,13 +84,18 @@ def test_a_fault_stands_beside_its_field_or_the_further_lines(changes: dict[str,
 
 
 def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
-    geared = FILLED | {"transmission.ratio": "50", "joint.torque_constant": "0.62", "controller.limit": "7,5"}
-    with pytest.raises(JointFileError, match="law"):
-        form.require(FILLED | {"controller.law": "", EXTRA: "# no controller"}, controller=True)
-    for controller, asked in ((False, r"Choose\.$"), (True, r'\?.*\n.*"500 A s/m".*"500 N s/m".*\n.*"7,5 A"')):
+    geared = FILLED | {"transmission.ratio": "50:1", "joint.torque_constant": "0.62", "controller.limit": "7,5"}
+    both = {f"record.channels.{name}.side": "load" for name in ("reference", "motor_position")}
+    for more, controller, asked in (
+        ({"controller.law": "", EXTRA: "# no controller"}, True, "law"), ({}, False, r"Choose\.$"),
+        ({"record.channels.motor_position.column": "q"}, False, r"Choose\.\n.*Choose\.$"),
+        ({}, True, r'\?.*\n.*"500 A s/m".*"500 N s/m".*\n.*"7,5 A"'),
+        ({"transmission.lead": "10 mm"}, True, '"500 A s/rad".*"500 N m s/rad"'),
+    ):  # fmt: skip
         with pytest.raises(JointFileError, match=asked):
-            form.require(geared, controller=controller)
-    form.require(geared | {"record.channels.reference.side": "load", "controller.gain": "1"}, controller=True)
+            form.require(geared | more, controller=controller)
+    form.require(geared | both | {"controller.gain": "1"}, controller=True)
+    assert form.make_tables(geared, [])["transmission"] == {"ratio": 50}
     shown = fields_of(FILLED)
     assert [*place_faults(JointFileError("it needs the lead of the transmission"), shown)] == ["transmission.lead"]
     said = 'velocity_gain, period = 1e-4, [ripple] period = 0.2, torque_filters = [{ kind = "notch" }], t = 2'

@@ -111,7 +111,7 @@ class Jobs:
         """Return the state, final sentence and duration [s] of an identification."""
         if self.is_running(run):
             return {"state": "running", "sentence": "", "seconds": round(time.monotonic() - self._began)}
-        stopped = "The page was stopped before this had ended; press Identify again."
+        stopped = "The page was stopped before this had ended; try it again."
         return {"state": "refused", "sentence": stopped} | run.json("_run.json")
 
     def start(self, run: Draft, *, learn: bool) -> None:

@@ -33,10 +33,10 @@ LAW, LEARN = "controller.law", "learn"
 _FILTER = "controller.velocity_filter"
 
 _KIND, _KINDS = "joint.kind", ("prismatic", "revolute")
-_RATIO, _SIDE, _OF_MOTOR = "transmission.ratio", "record.channels.reference.side", "record.channels.motor_position.side"
-_LABELS = dict.fromkeys((_SIDE, _OF_MOTOR), "These positions are of the") | {"gravity.load": "Gravity"}  # not the key
+_RATIO, _SIDES = "transmission.ratio", ("record.channels.reference.side", "record.channels.motor_position.side")
+_LABELS = dict.fromkeys(_SIDES, "These positions are of the") | {"gravity.load": "Gravity"}  # not the key
 _LABELS |= {f"{_FILTER}.time_constant": "Velocity filter (PT1), time constant"}
-_USUAL = {"joint.model": "rigid", "joint.spring": "linear", "gravity.load": "none", _OF_MOTOR: "motor"}  # no default
+_USUAL = {"joint.model": "rigid", "joint.spring": "linear", "gravity.load": "none"}  # no default
 _SHOWN = ("integral_time", "derivative_gain", "gain", "limit", "period", "delay", "integral_gain")  # not folded
 _ALWAYS = ("torque", "reference", "motor_position")  # channels that are not folded
 _FLEXIBLE = ("joint.spring", "method.frequency")  # keys of a flexible joint
@@ -81,7 +81,7 @@ class Field:
         if (self.declared.type is bool and text in ("true", "false")) or self.declared.type == Spans:
             return text
         if self.declared.type in (int, float):
-            text = text.replace(",", ".")
+            text = text.replace(",", ".").removesuffix(":1")
             with contextlib.suppress(ValueError):  # a number with a unit is a text
                 return repr(float(text)).removesuffix(".0")
         return json.dumps(text, ensure_ascii=False)
@@ -118,7 +118,7 @@ def _make_field(key: FileKey) -> Field | None:
     if words:
         known = _USUAL.get(key.place, None if one.required else one.default)
         usual = "as usual" if known is None else f"as usual: {known}"
-        usual = "as the column says" if last == "unit" else "choose ..." if key.place in (_KIND, _SIDE) else usual
+        usual = "as the column says" if last == "unit" else "choose ..." if key.place in (_KIND, *_SIDES) else usual
         return Field(key.place, one, {"": usual} | {str(word): str(word) for word in words})
     is_column = last == "column" or key.place == "record.time"
     return Field(key.place, one, is_column=is_column) if one.type in (int, float, str, Spans) else None
@@ -159,7 +159,7 @@ def channel_step(texts: Texts) -> Iterator[Section]:
         counts = texts.get(fields[0].key) or texts.get("drive.profile")
         title = name.replace("_", " ").capitalize()
         first = {f"record.channels.{name}.{one}" for one in ("column", "unit")}
-        sides = {_SIDE, _OF_MOTOR, "record.channels.torque.gain"}
+        sides = {*_SIDES, "record.channels.torque.gain"}
         first |= sides if texts.get(_RATIO) else {f"record.channels.{name}.gain"}
         shown = tuple(sorted(fields, key=lambda one: one.key not in first))
         yield Section(title, shown if counts else shown[:1], folded=name not in _ALWAYS, channel=True)
@@ -184,10 +184,11 @@ def joint_step(texts: Texts) -> Iterator[Section]:
 
 
 def require(texts: Texts, *, controller: bool) -> None:
-    """Refuse a missing side of a reference behind a gear, then a missing law, and numbers without a needed unit."""
+    """Refuse a missing side of positions behind a gear, then a missing law, and numbers without a needed unit."""
     asked, kind = dict[str, str](), cast("Kind | None", texts.get(_KIND) or None)
-    if texts.get(_RATIO) and texts.get("record.channels.reference.column") and not texts.get(_SIDE):
-        asked[_SIDE] = f"Behind a gear of {texts[_RATIO]}:1, are these positions the motor's or the load's? Choose."
+    for side in _SIDES if texts.get(_RATIO) else ():
+        if texts.get(side.replace("side", "column")) and not texts.get(side):
+            asked[side] = "Behind this gear, are these positions the motor's or the load's? Choose."
     given = (LAW, "record.channels.motor_position.column", "drive.profile")
     if controller and kind and not any(map(texts.get, given)) and "controller" not in make_tables(texts, []):
         asked[LAW] = "Without the motor's position in the log the controller must be known: choose its law."
@@ -195,7 +196,7 @@ def require(texts: Texts, *, controller: bool) -> None:
     for key, one in fields_of(texts).items() if scaled else ():
         number, unit = texts.get(key, ""), one.declared.unit or ""
         if unit.startswith(CONTROLLER_UNITS) and re.fullmatch("[0-9.,]+", number):
-            torque, current, *_ = list_units(unit, kind)
+            torque, current, *_ = list_units(unit, "revolute" if texts.get("transmission.lead") else kind)
             asked[key] = f'Give its unit: "{number} {current}" of a current, "{number} {torque}" of a torque.'
     if asked:
         raise JointFileError(Fault(said, tuple(key.split(".")), "missing") for key, said in asked.items())
