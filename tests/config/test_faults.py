@@ -29,6 +29,7 @@ FAULTS = [
     (SMALLEST.replace("position_gain = 100.0", 'position_gain = "160.18"'), "controller.position_gain value"),
     (SMALLEST + "limit = 0", "controller.limit value"),
     (SMALLEST + "integral_time = 30", "controller.integral_time unit"),  # ms, of which nothing is said
+    (SMALLEST + "period = 0.5", "controller.period unit"),
     (SMALLEST.replace("position_gain = 100.0", "position_gain = 1200"), "controller.position_gain unit"),  # 1/min
     (SMALLEST + "velocity_filter = 0.5", "controller.velocity_filter.numerator value"),
     (SMALLEST + "velocity_filter = { numerator = [] }", "controller.velocity_filter contradiction"),

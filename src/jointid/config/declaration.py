@@ -28,8 +28,8 @@ Place: TypeAlias = tuple[int | str, ...]
 
 _MOST, _MOST_KEYS = 10**9, 1000  # largest integer; keys of a table, or tables of a list: each may give a fault
 _WRONG: Any = object()  # placeholder of a faulty value
-BARE = {(name, "s"): (2.0, "ms") for name in ("integral_time", "time_constant", "period", "delay")}
-BARE |= {("position_gain", "1/s"): (500.0, "1/min"), ("lead", "m"): (1.0, "mm")}
+BARE = {(name, "s"): (0.1, "ms") for name in ("time_constant", "period", "delay")}
+BARE |= {("integral_time", "s"): (2.0, "ms"), ("position_gain", "1/s"): (500.0, "1/min"), ("lead", "m"): (1.0, "mm")}
 """Of a setting: the largest number without a unit, and what it may be in."""
 _PER_TURN = re.compile(r"(?<=[a-z]) *(?:/|per) *(?:turn|rev|revolution|U)$")  # of a lead
 _MEANT = {"P-PI": "cascade", "P-P": "cascade", "rotary": "revolute", "rotation": "revolute", "linear": "prismatic"}

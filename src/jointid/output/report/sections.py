@@ -259,12 +259,12 @@ def _result(given: Report) -> Iterator[Block]:
         loop, motion = estimate.settings.loop, given.channels.get("reference")
         numbers = {} if loop is None else numbers_of(loop.controller)
         law = {name: f"{value:.3g}" for name, value in numbers.items() if 0.0 < abs(value) < np.inf}
-        facts = {"Controller": _say(law)[1:-1]} | dict(given.repetition.declared)
+        facts = {"Controller": _say(law)[1:-1]}
         if motion is not None:
             travel, speed = np.ptp(motion.values), np.abs(np.diff(motion.values)).max() / motion.sample_time
             size = f"{travel:.3g} {motion.unit} at up to {speed:.3g} {motion.unit}/s"
             facts["Motion"] = f"{motion.duration:.3g} s at {1.0 / motion.sample_time:.4g} Hz, {size}"
-        yield Facts(tuple((name, said) for name, said in facts.items() if said))
+        yield Facts(tuple((name, said) for name, said in (facts | dict(given.repetition.declared)).items() if said))
     else:
         yield Text("All numbers are behind the gears.")
 
