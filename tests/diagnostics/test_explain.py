@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import MethodError, RecordError
+from jointid.common.errors import FaultsError, MethodError, RecordError
 from jointid.diagnostics import explain as searching
 from jointid.diagnostics import identify as identifying
 from jointid.diagnostics.analysis import rebuild_problem
@@ -47,16 +47,6 @@ def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one()
     assert causes.explanations == ()
     assert causes.nearest is not None and causes.nearest.left > 1.15 * causes.unexplained
     assert causes.message.code is Reason.NO_CAUSE_FOUND
-
-
-def test_a_limit_that_cuts_much_of_the_torque_is_found_from_larger_inertias() -> None:
-    law, joint = Cascade(position_gain=20.0, velocity_gain=440.0, integral_gain=33.0), RigidJoint("revolute")
-    truth = {"inertia": 4.5, "viscous": 13.0, "coulomb": 18.0, "offset": 0.0}
-    reference = trapezoids((1.0, 2.0, 3.0), 30.0, 1.0, 1e-3, duration=6.0)
-    record = simulated_record(ClosedLoop(joint, replace(law, limit=75.0)), reference, truth, sample_time=1e-3)
-    declared = Case(record, ClosedLoop(joint, law), ji.Filtering().resolve(1e-3, "rigid"))
-    starts = [searching._list_rigid_starts(one) for one in list_cases(declared) if one.free == "limit"]
-    assert searching._race(starts)[0].number == pytest.approx(75.0, rel=2e-3)
 
 
 def test_sample_times_that_the_declared_period_allows_are_tried() -> None:
@@ -313,10 +303,21 @@ def test_the_cause_of_a_misfit_without_a_fault_is_searched(monkeypatch: pytest.M
     record, loop = without_mistake(axis("rigid"))
     [one] = ji.identify(record, loop).diagnosis.axes
     asked, vague = Mock(return_value=()), replace(one, faults=replace(one.faults, findings=(), explained=0.0))
+    assert "would explain" not in str(vague.faults.reasons[0])
     monkeypatch.setattr(identifying, "explain_misfit", asked)
     monkeypatch.setattr(identifying, "diagnose_joint", lambda *_, **__: Mock(axes=(vague,)))
-    found = ji.identify(record, loop)
-    assert asked.call_args.args[2] is None and "none would" not in str(found.about(Subject.LOOP))
+    ji.identify(record, loop)
+    assert asked.call_args.args[2] is None
+
+
+def test_the_error_of_a_failure_with_a_cause_keeps_its_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    cause = Cause("torque_sign", "the torque has the wrong sign", left=0.01)
+    monkeypatch.setattr(searching, "find_causes", lambda *_, **__: searching.Causes(0.9, (cause,)))
+    record, loop = without_mistake(axis("rigid"))
+    for error in (MethodError("it failed."), FaultsError(["it is wrong.", "it is late."])):
+        told = explain_failure(error, record, loop, print)
+        assert (type(told), told.code) == (type(error), "torque_sign") and cause.words in str(told)
+        assert ("it is late" in str(told)) is isinstance(error, FaultsError)
 
 
 @pytest.mark.slow

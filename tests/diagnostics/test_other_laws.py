@@ -107,5 +107,7 @@ def test_no_law_of_the_reference_is_chosen_that_leaves_more_than_the_declared_on
 def test_a_fault_that_is_impossible_and_explains_more_hides_no_law() -> None:
     early = FaultTest(DELAY, (), 0.0, -1e-3, 1e-5, 1e-9)
     law = LawTest(None, None, None, FaultTest(PERIOD, (), 0.0, 1.0, 0.1, 1e-9), 1.0)  # type: ignore[arg-type]
-    found = [law.explains(SimpleNamespace(tests=[replace(early, size=size)])) for size in (-1e-3, 1e-3)]  # type: ignore[arg-type]
-    assert found == [True, False]
+    each = ((law, -1e-3), (law, 1e-3), (replace(law, gain=-1.0), -1e-3))  # the last leaves more than the declared law
+    left = np.ones(2)
+    found = [one.explains(SimpleNamespace(tests=[replace(early, size=size)], residual=left)) for one, size in each]  # type: ignore[arg-type]
+    assert found == [True, False, False]

@@ -1,7 +1,6 @@
 """A stiffness is reported where the record shows it, and refused, with a bound, where it does not."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from jointid.diagnostics.validation import validate
 from jointid.estimation.problems.simulated import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.springs import visible
-from jointid.estimation.result.verdict import POOR_FIT, told_bounds
+from jointid.estimation.result.verdict import told_bounds
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
@@ -26,7 +25,6 @@ from studies.mechanics import spoiled
 from studies.stiffness_bounds import random_plant
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
-from tests.faster_drives import CASCADE, drive
 
 LOOP = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLER)
 
@@ -110,15 +108,6 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     known = uncertainty(Influence(J, error), problem.cells(problem.simulate(x)))
     found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
     assert not found.shown and not found.std  # the rigid joint leaves more than 15 %, so that none of its values holds
+    other = problem.with_log(measured=2.0 * problem.log.measured)
+    assert found.bounds and not visible(other, x, J, known, (2, 2), ignore_progress).bounds  # which no joint explains
     assert any("the load never moves" in check.words for check in found.checks)
-
-
-@pytest.mark.slow
-def test_no_bound_is_told_where_the_model_does_not_explain_the_torque() -> None:
-    """How soft a spring may be is said beside a joint that fits."""
-    for noise, given in ((0.3, True), (6.0, False)):
-        record, loop = drive(CASCADE, 1, noise=noise)
-        estimate = identify(record, replace(loop, joint=FlexibleJoint("revolute")))
-        assert estimate["stiffness"].value is None
-        assert (estimate.fit.filtered_error <= POOR_FIT) is given
-        assert bool(estimate.bounds) is ("at least" in str(estimate.answer)) is given

@@ -373,7 +373,7 @@ def _race(starts: Sequence[Iterator[Fit]], loss: float = 0.0) -> list[Fit]:
     tried = _best_of_each(fit for fit in in_threads(Fit.begin, [*begun]) if fit.error < _ASTRAY)
     fits = _best_of_each(filter(None, in_threads(lambda fit: fit.descend(_FEW, _LITTLE), tried)))
     least = fits[0].error if fits else 0.0
-    for k, fit in enumerate(fits if least < _HOPELESS else ()):
+    for k, fit in enumerate(fits if least < _HOPELESS or len(fits) == 1 else ()):
         goal = max(_AS_GOOD * least, least + loss)
         if fit.error <= max(_BEHIND * least, goal):
             lacks = 1.0 - (goal / (max(fit.error, goal) or 1.0)) ** 2

@@ -212,7 +212,7 @@ def _check_joint(fit: Estimate, problem: ClosedLoopProblem, x: FloatArray, progr
     apart = find_part_of_loop(problem, x, record) if faults is None else faults.part
     if apart is not None:
         return _fail(apart), said, found if whole else None
-    named = None if faults is None or faults.explained == 0.0 else faults.findings  # 0: a misfit without a fault
+    named = None if faults is None or (faults.explained is not None and not faults.findings) else faults.findings
     if explain(named):
         return _fail(*(one.message for one in searched if one is not None)), said, found if whole else None
     law = None if found is None else found.axes[0].law

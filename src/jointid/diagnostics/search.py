@@ -55,7 +55,7 @@ _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not t
 _TAKEN = 0.2  # of a log: a scale that leaves less of it leaves nothing to explain
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 MORE = 1.3  # times the residual of free linear responses: with the right fault corrected it is 1.0 at most
-_LITTLE = 0.1  # of twice the logarithm of the first fault's likelihood ratio: that of a remainder
+_LITTLE = 0.1  # of twice the log likelihood ratio of the first fault: that of a remainder; of squares: noise of a law's
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 
 _BLOCKS, _SHORTEST = 40, 2  # of a residual, in time; of a part
@@ -125,8 +125,8 @@ def search_faults(
         last = findings[-1].test if len(findings) == most > 1 or _leaves_more(found) else last
     enough = _LITTLE * max((one.test.strength**2 for one in findings[:1]), default=0.0)
     vague = last is not None and last.strength**2 > enough
-    exact = last is None and not any(one.test.fault.tried for one in findings[:1])  # a wave is subtracted in one step
-    findings = [one for one in findings if exact or vague or one.test.strength**2 > enough]  # no remainder
+    whole = last is None and not any(one.test.fault.kin == "gravity" for one in findings[:1])  # else one linear step
+    findings = [one for one in findings if whole or vague or one.test.strength**2 > enough]  # no remainder
     explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
     return AxisFaults(tuple(findings), initial.tests, units, tuple(suspected), part, explained)
@@ -242,9 +242,9 @@ class LawTest:
         return (2 * self.test.size - 1) / self.test.std**2
 
     def explains(self, found: SolvedLoop) -> bool:
-        """Whether the declared law is excluded and leaves more, and no fault explains it better."""
-        test = self.test
-        if not self.possible or min(test.size, self.gain) <= 0 or test.p_value > LEVEL:
+        """Whether the declared law is excluded, and no fault explains it better."""
+        test, left = self.test, found.residual
+        if not self.possible or test.size <= 0 or test.p_value > LEVEL or self.gain < -_LITTLE * left @ left:
             return False
         return self.likelihood >= max((one.strength**2 for one in found.tests if one.possible), default=0.0) - RIVAL
 

@@ -184,7 +184,7 @@ def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: A
     if unknown := sorted(asked.keys() - known):
         raise MethodError(f"Tuning has no setting {join(unknown)}; expected {join(known)}: correct the name.")
     settings, joint = Tuning(**asked), estimate.settings.joint
-    if estimate.bounds:
+    if any(row.name == "stiffness" and row.value is None for row in estimate.rows):
         raise MethodError(
             f"The stiffness is refused, and margins need the joint's mode: {estimate.data.record} does not show it. "
             "Record stronger ramps or pulses on the torque, or identify the joint as rigid."
