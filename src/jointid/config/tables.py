@@ -218,8 +218,8 @@ def make_method(name: str, given: Mapping[str, Any], system: str) -> Method:
 _MOTION = Table(keys_of(Column, without=("tap", "at", "in_torque")), Column)
 _CHANNELS = Table(
     key("torque", Table(keys_of(Column, without=("at", "in_torque")), Column), "motor torque or force")
-    | key("reference", _MOTION, "commanded position, motor side")
-    | key("reference_velocity", _MOTION, "commanded velocity")
+    | key("reference", _MOTION, "position setpoint, motor side")
+    | key("reference_velocity", _MOTION, "velocity setpoint")
     | key("motor_position", _MOTION, "motor encoder")
     | key("load_position", _MOTION, "load encoder")
     | key("injected", Table(keys_of(Column, without=("tap",)), Column), "known signal added to the controller's output")

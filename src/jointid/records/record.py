@@ -158,8 +158,8 @@ class Record:
     Attributes:
         torque: motor torque (force), in N m (N), or in A or V while the torque constant is unknown.
         tap: where in the drive the torque was logged.
-        reference: commanded position, motor side.
-        reference_velocity: commanded velocity, if the controller uses a separate one.
+        reference: position setpoint, motor side.
+        reference_velocity: velocity setpoint, if the controller uses a separate one.
         motor_position: motor encoder.
         load_position: load encoder.
         injected: a known signal added to the controller's output.
