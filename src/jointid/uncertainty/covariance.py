@@ -218,7 +218,7 @@ class Influence:
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
         scores, rows = np.add.reduceat(Z * before[:, np.newaxis], first), np.diff(first, append=len(block))
         unit, norm, moved = np.eye(len(self.spread)), partial(np.linalg.norm, axis=(1, 2)), np.empty_like(scores)
-        for some in np.array_split(np.arange(first.size), first.size * unit.size // 250_000 + 1):  # a few MiB
+        for some in np.array_split(np.arange(first.size), min(first.size * unit.size // 250_000 + 1, first.size)):
             others = unit - self.spread @ _products(Z, slopes, first[some], rows[some])
             inverse = np.linalg.inv(others + 1e-15 * np.max(np.abs(others)) * unit)  # hardly ever singular
             lost = ~(norm(others) * norm(inverse) < 1e6)
