@@ -127,9 +127,9 @@ def test_values_are_those_fixed_and_those_started_from() -> None:
         loads(SMALLEST).axis.values()
 
 
-def test_the_files_on_the_page_are_right() -> None:
-    texts = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "joint-file.md").read_text(encoding="utf-8"), re.DOTALL)
-    assert len([loads(text) for text in texts]) >= 4
+def test_the_files_on_the_pages_are_right() -> None:
+    pages = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("joint-file.md", "drives.md")]
+    assert len([loads(text) for text in re.findall(r"```toml\n(.*?)```", "".join(pages), re.DOTALL)]) >= 5
 
 
 @pytest.fixture
