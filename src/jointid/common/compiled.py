@@ -13,15 +13,10 @@ from typing import Any, TypeVar, cast
 import numba
 from numba import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
-from numba.core.targetconfig import TargetConfig
 
 from jointid.common.arrays import FloatArray
 
 F = TypeVar("F", bound=Callable[..., object])
-
-# Numba compares all options of a function at each operation that it types, by their properties: a sixth of its time.
-_defaults = cache(lambda kind: {name: option.default for name, option in kind.options.items()})
-TargetConfig.values = lambda flags: _defaults(type(flags)) | flags._values  # type: ignore[method-assign]
 
 
 class KernelCache(FunctionCache):
@@ -89,9 +84,14 @@ def _njit(function: F, **options: bool) -> F:
     make: Any = numba.njit  # its types know some of the options only
     kernel = make(nogil=True, fastmath={"contract"}, error_model="numpy", **options)(function)
     if kernel is not function:  # Numba may be configured not to compile
-        template, unliteral = kernel.get_call_template, cast("Any", types.unliteral)
+        template = kernel.get_call_template
+        unliteral: Any = types.unliteral
+
+        def without_literals(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+            return template(tuple(map(unliteral, args)), kws)
+
         # Numba takes a constant argument for a type of its own, and compiles the function again for each.
-        kernel.get_call_template = lambda args, kws: template(tuple(map(unliteral, args)), kws)
+        kernel.get_call_template = without_literals
     return cast("F", kernel)
 
 
