@@ -55,7 +55,7 @@ _LEAVES = 0.4  # of the squares: faults that leave more, and no noise, are not t
 _TAKEN = 0.2  # of a log: a scale that leaves less of it leaves nothing to explain
 _SURELY, _NEARLY = 2.0, 0.2  # deviations, and of a change, within which it is whole
 MORE = 1.3  # times the residual of free linear responses: with the right fault corrected it is 1.0 at most
-_LITTLE = 0.1  # of twice the log likelihood ratio of the first fault: that of a remainder; of squares: noise of a law's
+_LITTLE = 0.1  # of twice the first fault's log likelihood ratio: a remainder; of the squares: what a right law may add
 _AS_STRONG = 0.8  # of a strength: a fault that is as strong explains nearly as much, and a law of the drive goes first
 
 _BLOCKS, _SHORTEST = 40, 2  # of a residual, in time; of a part
@@ -125,7 +125,7 @@ def search_faults(
         last = findings[-1].test if len(findings) == most > 1 or _leaves_more(found) else last
     enough = _LITTLE * max((one.test.strength**2 for one in findings[:1]), default=0.0)
     vague = last is not None and last.strength**2 > enough
-    whole = last is None and not any(one.test.fault.kin == "gravity" for one in findings[:1])  # else one linear step
+    whole = last is None and not any(one.test.fault.kin == "gravity" for one in findings[:1])  # one step leaves some
     findings = [one for one in findings if whole or vague or one.test.strength**2 > enough]  # no remainder
     explained = 1.0 - float(left @ left) / float(initial.residual @ initial.residual) if vague and not part else None
     units = {"torque": joint.force_unit, "position": POSITION_UNIT[joint.kind]}
