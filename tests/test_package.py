@@ -109,6 +109,7 @@ print(*threads, read())
 """
 
 
+@pytest.mark.slow
 def test_identification_limits_linear_algebra_to_one_thread_and_gives_it_back() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     ran = subprocess.run([sys.executable, "-c", THREADS], env=environment, capture_output=True, text=True, check=True)

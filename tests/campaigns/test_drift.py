@@ -154,6 +154,7 @@ def test_a_joint_that_lost_its_value_is_named_and_one_spoilt_day_is_no_loss() ->
     assert [(one.joint, one.last) for one in never.losses] == [("axis 001", "")]
 
 
+@pytest.mark.slow
 def test_a_page_shows_what_changed() -> None:
     rows = [replace(row, sentence="<script>alert(1)", outcome=Outcome.DOUBTFUL) if row.day > "2026-10-15" else row
             for row in fleet(1, 30, falling=2)]  # fmt: skip

@@ -64,6 +64,7 @@ def test_a_log_that_is_late_is_excluded_as_the_motor_position_shows() -> None:
     assert not excludes(record.without("motor_position"), LOOP, LAW, late=5e-4)
 
 
+@pytest.mark.slow
 def test_a_gross_cause_must_make_the_torque_of_the_motor_position() -> None:
     record = logged(LOOP.joint, PLAIN)
 

@@ -249,10 +249,9 @@ FIRST: dict[str, tuple[str, tuple[Edit, ...]]] = {  # of 24 mistakes, and of wha
     "wrong column": ("", (log("torque", lambda x: np.roll(x[::-1], 777)),)),
     "encoder": ("reference_is_position", (changes(mistakes.give_position_as_reference),)),
 }
-QUICK = ("none", "torque filter")
 
 
-@pytest.mark.parametrize("name", [one if one in QUICK else pytest.param(one, marks=SLOW) for one in FIRST])
+@pytest.mark.parametrize("name", ["none", *(pytest.param(one, marks=SLOW) for one in FIRST if one != "none")])
 def test_the_first_cause_is_the_mistake(name: str) -> None:
     first, edits = FIRST[name]
     one = SimpleNamespace(law=OWN.controller, declared=OWN.controller, model=OWN.joint, edits=[])
@@ -281,6 +280,7 @@ def test_cases_start_again_at_the_joint_of_the_best_case() -> None:
     assert _mode_of(dict.fromkeys(("motor_inertia", "load_inertia", "stiffness"), 1.0) | {"damping": 2.0}, 1e-3) == 1e3
 
 
+@SLOW
 def test_no_step_leads_to_a_mode_that_the_log_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     tried, linearise = list[float](), ClosedLoopProblem.linearise
     note = lambda p, x: tried.append(p.values(x).get("stiffness", 0.0)) or linearise(p, x)  # type: ignore[func-returns-value]  # noqa: E731

@@ -48,6 +48,7 @@ def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(rising: Axis) 
     assert found.answer.code == "another_friction"
 
 
+@pytest.mark.slow
 def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(
     rising: Axis, monkeypatch: pytest.MonkeyPatch
 ) -> None:

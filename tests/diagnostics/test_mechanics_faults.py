@@ -46,7 +46,7 @@ def vary(problem: ClosedLoopProblem, x: FloatArray) -> list[FaultSignature]:
     return [replace(one, column=problem.filter(one.column)) for one in along if one.fault.mechanical]
 
 
-@pytest.mark.parametrize("seed", [3001, 3005])  # P-PI and PID
+@pytest.mark.parametrize("seed", [pytest.param(3001, marks=pytest.mark.slow), 3005])  # P-PI and PID
 def test_the_study_s_small_steps_are_the_exact_simulation(seed: int) -> None:
     axis = drive(seed, 3.0)
     experiment = prepare(axis.loop, axis.record)
@@ -83,13 +83,11 @@ def identified(fault: str, seed: int, longest: float = 8.0) -> tuple[Spoiled, Es
     return made, identify(made.record, made.axis.loop)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "seed", "named"), [
-    pytest.param("cubic spring", 3005, "cubic_spring", marks=pytest.mark.slow),
-    pytest.param("load-dependent friction", 3003, "load_dependent_friction", marks=pytest.mark.slow),
-    pytest.param("second mode", 135, "second_mode", marks=pytest.mark.slow),
-    pytest.param("presliding", 109, "winding_friction", marks=pytest.mark.slow),
-    pytest.param("changing friction", 3003, "changing_friction", marks=pytest.mark.slow),
-    pytest.param("backlash", 3010, "backlash", marks=pytest.mark.slow),
+    ("cubic spring", 3005, "cubic_spring"), ("load-dependent friction", 3003, "load_dependent_friction"),
+    ("second mode", 135, "second_mode"), ("presliding", 109, "winding_friction"),
+    ("changing friction", 3003, "changing_friction"), ("backlash", 3010, "backlash"),
 ])  # fmt: skip
 def test_what_is_wrong_is_named_first(fault: str, seed: int, named: str) -> None:
     made, estimate = identified(fault, seed, 8.0 if seed < 1000 else 12.0)
@@ -98,10 +96,9 @@ def test_what_is_wrong_is_named_first(fault: str, seed: int, named: str) -> None
     assert {"cubic_spring", "backlash"} - {one.test.name for one in check.findings}  # two words for one thing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "seed", "named"), [
-    ("saturation", 605, "torque_saturation"),
-    pytest.param("gravity", 610, "gravity", marks=pytest.mark.slow),
-    pytest.param("uneven friction", 622, "uneven_friction", marks=pytest.mark.slow),
+    ("saturation", 605, "torque_saturation"), ("gravity", 610, "gravity"), ("uneven friction", 622, "uneven_friction"),
 ])  # fmt: skip
 def test_what_adds_a_force_along_the_motion_is_named_with_its_size(fault: str, seed: int, named: str) -> None:
     made = spoiled(seed, fault, 5.0)
@@ -113,9 +110,8 @@ def test_what_adds_a_force_along_the_motion_is_named_with_its_size(fault: str, s
     assert abs(test.size) == pytest.approx(size, rel=0.25)
 
 
-@pytest.mark.parametrize(
-    ("fault", "seed"), [pytest.param("second mode", 135, marks=pytest.mark.slow), ("cubic spring", 164)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "seed"), [("second mode", 135), ("cubic spring", 164)])
 def test_an_interval_is_as_wide_as_what_was_found_moves_its_value(fault: str, seed: int) -> None:
     made, plain = identified(fault, seed)
     found = ji.identify(made.record, made.axis.loop)
@@ -230,6 +226,7 @@ def test_what_is_not_excluded_widens_the_intervals() -> None:
     assert widened(number) == {"damping": 0.1} and widened() == {}  # the stiffness is not relied on
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "gain"), [(250146, 1.0328), (250234, 0.9300), (250168, 0.9280)])
 def test_a_wrong_scale_of_the_log_is_not_relied_on(seed: int, gain: float) -> None:
     """Bounds took it for noise, a rival that no loop tells from it moved no value, a p-value of 0.011 widened none."""

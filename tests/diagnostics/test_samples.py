@@ -128,6 +128,7 @@ def test_a_new_zero_and_steps_that_a_drive_makes_smooth_are_named(edit: Any, cau
             assert "a new zero was set there" in " ".join(ji.identify(zeroed(whole), LOOP.joint).warnings)
 
 
+@pytest.mark.slow
 def test_a_motion_one_way_is_not_relied_on_beside_an_injected_signal_that_does_not_turn_it() -> None:
     axis = drive(9128, 4.0, "white force")
     assert Reason.RECORD_TOO_SHORT in [one.code for one in ji.identify(axis.record, axis.loop).checks]

@@ -63,6 +63,7 @@ def test_the_simplest_of_those_that_predict_alike_is_shown(worse: float, shown: 
     assert LawComparison("spring", laws, "linear").shown.name == shown
 
 
+@pytest.mark.slow
 def test_a_law_that_cannot_be_identified_is_left_out(
     plain: tuple[Case, LawComparison], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -76,6 +77,7 @@ def test_a_law_that_cannot_be_identified_is_left_out(
     assert [one.name for one in found.laws] == [RIGID, "linear"]
 
 
+@pytest.mark.slow
 def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
     plain: tuple[Case, LawComparison], monkeypatch: pytest.MonkeyPatch
 ) -> None:

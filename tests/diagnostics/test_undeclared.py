@@ -56,6 +56,7 @@ def widened(record, law=LAW, *suspected):
     }, wider
 
 
+@pytest.mark.slow
 def test_an_interval_holds_a_spring_that_is_hardly_seen_not_to_be_linear():
     declared = ji.ClosedLoop(JOINT, replace(LAW, undeclared="none", period=None))
     cubic = replace(declared, joint=replace(JOINT, spring=ji.spring.Spring("cubic")))

@@ -55,6 +55,7 @@ def test_a_load_encoder_counts_from_elsewhere_in_any_record() -> None:
     assert moved.filtered_error == pytest.approx(own.filtered_error, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inertia", [30.0, 33.0])
 def test_positions_alone_are_predicted(inertia: float) -> None:
     estimate = ji.identify(made(0.1, 1).without("torque"), LOOP, checks=False)

@@ -34,9 +34,8 @@ def noise(random: np.random.Generator, kind: str) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize(
-    "kind", ["coloured", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("white", "loud"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["coloured", "white", "loud"])
 def test_chance_is_found_significant_as_often_as_the_level_says(kind: str) -> None:
     random = np.random.default_rng(1)
     tests = [quick(left(noise(random, kind)), [BEND]) for _ in range(400)]

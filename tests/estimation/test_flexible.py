@@ -70,7 +70,7 @@ def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alo
 
 
 @pytest.mark.parametrize("loop", ["L19", pytest.param("L30", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("frequency", [None, 15.0, pytest.param(30.0, marks=pytest.mark.slow), 60.0])
+@pytest.mark.parametrize("frequency", [None, *(pytest.param(f, marks=pytest.mark.slow) for f in (15.0, 30.0, 60.0))])
 def test_didim_recovers_the_noise_free_twin_from_any_start(loop: str, frequency: float | None) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
     estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=frequency))

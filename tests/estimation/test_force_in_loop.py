@@ -22,7 +22,7 @@ from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty
 from tests.servos import Servo, servo
 
 SUMS = ("inertia", "viscous", "coulomb")
-RESTING = (5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8, 14, 25)))
+RESTING = tuple(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 8, 14, 25))
 """Servos under forces of 1 to 6 % of the torque of their ramps: their Coulomb friction comes out 13 to 45 % small."""
 
 

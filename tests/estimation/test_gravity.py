@@ -72,6 +72,7 @@ def assert_covered(estimate: Estimate, truth: dict[str, float], sigmas: float = 
             assert abs(found.value - value) < sigmas * found.stderr, name
 
 
+@pytest.mark.slow
 def test_a_rigid_link_from_torque_alone() -> None:
     assert_found(identify(without_positions(arm()), ARM), ARM_TRUTH, 1e-6)
 
@@ -83,13 +84,14 @@ def test_the_intervals_of_a_rigid_link_hold_the_truth(seed: int) -> None:
     assert estimate["gravity_cos"].stderr < 0.002 * ARM_TRUTH["gravity_cos"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [None, Initial(SAG)], ids=["falling", "hanging"])
 def test_a_flexible_link_behind_a_gear_from_torque_alone(start: Initial | None) -> None:
     """A load that begins where it hangs is found there: friction would hold a motor that is begun beside it."""
     assert_found(identify(without_positions(geared(initial=start)), GEARED_LOOP), GEARED_TRUTH, 1e-6)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_the_intervals_of_a_flexible_link_hold_the_truth(seed: int) -> None:
     estimate = identify(without_positions(geared(0.05, seed, Initial(SAG))), GEARED_LOOP)
     assert_covered(estimate, GEARED_TRUTH)

@@ -82,6 +82,7 @@ def ringing(random: np.random.Generator, size: int) -> np.ndarray:
     return np.asarray(lfilter([1.0], [1.0, -2 * 0.97 * np.cos(np.pi / 8), 0.97**2], noise)[300:])
 
 
+@pytest.mark.slow
 def test_the_spectrum_sees_a_ringing_that_the_bandwidth_does_not() -> None:
     random = np.random.default_rng(6)
     W = np.column_stack([ringing(random, 2000), np.ones(2000)])

@@ -131,6 +131,7 @@ def test_what_surrounds_the_joint_can_be_free() -> None:
     assert "position_gain" not in estimate.values
 
 
+@pytest.mark.slow
 def test_a_stretch_is_silent_of_what_it_does_not_tell() -> None:
     """Both ways in the first half, forwards only in the second, which tells nothing of friction backwards."""
     loop = ji.ClosedLoop(ji.RigidJoint("prismatic", friction=ji.friction.Friction("asymmetric")), LOOP.controller)
@@ -183,6 +184,7 @@ def test_a_record_that_is_long_for_memory_goes_in_windows_by_itself(monkeypatch:
             use(found, record)
 
 
+@pytest.mark.slow
 def test_the_part_that_is_checked_has_travel_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first quarter creeps by 10 um in its last sample, with the drive off."""
     record = rigid(40.0)

@@ -61,6 +61,7 @@ def test_a_record_without_torque_is_identified_from_its_position() -> None:
     assert scale_status(found) == [None]
 
 
+@pytest.mark.slow
 def test_a_common_factor_of_the_gains_is_invisible_and_moves_every_parameter() -> None:
     record = logged().without("torque")
     right, larger = identify(record), identify(record, ji.controller.PD(position_gain=480.0, derivative_gain=36.0))
@@ -69,6 +70,7 @@ def test_a_common_factor_of_the_gains_is_invisible_and_moves_every_parameter() -
         assert larger[name].value == pytest.approx(1.2 * right[name].value, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_known_parameter_or_an_injected_torque_tells_the_scale() -> None:
     kept = {"inertia": ji.RigidJoint("revolute").parameters[0].fix(0.5)}
     assert scale_status(identify(logged().without("torque"), parameters=kept)) == [True]
@@ -94,6 +96,7 @@ def test_no_fault_of_a_log_is_tested_where_no_torque_was_logged() -> None:
     assert compare_law(ji.controller.compute_controller_torque(logged(), LOOP), LOOP) is None
 
 
+@pytest.mark.slow
 def test_positions_are_of_several_records_and_of_windows() -> None:
     law = replace(LAW, period=1e-3)
     loop = ji.ClosedLoop(ji.RigidJoint("revolute"), law)
@@ -153,6 +156,7 @@ def log_robot(laws: tuple[Any, ...]) -> tuple[ji.robots.RobotLoop, list[ji.Recor
     return loop, records
 
 
+@pytest.mark.slow
 def test_a_robot_under_an_integral_settles_and_has_no_offsets() -> None:
     loop, records = log_robot(CASCADES)
     found = ji.identify(records, loop, checks=False)

@@ -43,6 +43,7 @@ def test_the_variance_between_runs_is_found() -> None:
     assert found[0].parameters[0].widening == pytest.approx(found[0].parameters[0].between ** 2 / 8)
 
 
+@pytest.mark.slow
 def test_a_widened_interval_holds_the_mean_of_the_runs_truths() -> None:
     """Of five runs that differ by ten times their own deviations; without the widening one in five would hold it."""
     random, inside, narrow = np.random.default_rng(6), 0, 0

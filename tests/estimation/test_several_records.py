@@ -75,6 +75,7 @@ def test_two_records_under_different_gains() -> None:
     assert "agreement" in [v.name for v in wrong.checks if v.passed is False]
 
 
+@pytest.mark.slow
 def test_a_known_mass_an_own_friction_and_the_gain_of_the_drive() -> None:
     axis, gain = twins("none"), 1.03
     loaded = heavier(axis.truth) | {"motor_coulomb": 11.0, "load_coulomb": 12.0, "load_viscous": 130.0}

@@ -23,6 +23,7 @@ def rigid_record(loop: ClosedLoop) -> Record:
     return simulated_record(loop, reference, RIGID, sample_time=1e-3)
 
 
+@pytest.mark.slow
 def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
     declared = ClosedLoop(RigidJoint("prismatic"), replace(CONTROLLER, limit=1e3))
     actual = replace(declared, controller=replace(declared.controller, delay=0.3e-3))  # type: ignore[type-var]

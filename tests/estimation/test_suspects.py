@@ -43,6 +43,7 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
         assert first.value == pytest.approx(0.7 * where.peak, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_clean_record_is_as_declared() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, "disturbance", 1)

@@ -11,6 +11,7 @@ from studies.unknown_timing import ARM, TRUE, logged
 from tests.robots_plants import two
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_whichever_the_timing_was():
     inside, errors = [], []
     for rate in (30.0, 50.0, 100.0):

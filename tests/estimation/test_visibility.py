@@ -65,6 +65,7 @@ def test_a_spring_that_the_record_does_not_show_is_refused(unseen: tuple[Record,
     assert told_bounds(estimate) == estimate.bounds
 
 
+@pytest.mark.slow
 def test_the_loop_and_the_log_of_a_refused_spring_are_checked() -> None:
     """Without that check, the whole inertia is 9 % off, 7.9 deviations, and nothing is said."""
     made = spoiled(270304, "saturation", 4.0, "white force")

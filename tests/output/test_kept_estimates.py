@@ -132,7 +132,9 @@ def test_an_error_that_is_not_known_is_not_relied_on(tmp_path: Path) -> None:
             ji.load_estimate(path, setup_of("joint"))
 
 
-@pytest.mark.parametrize("method", ["idim", pytest.param("didim", marks=pytest.mark.slow), "delays"])
+@pytest.mark.parametrize(
+    "method", ["idim", *(pytest.param(name, marks=pytest.mark.slow) for name in ("didim", "delays"))]
+)
 def test_a_saved_estimate_of_a_robot_comes_back(method: str, tmp_path: Path) -> None:
     estimate, system = found(method), setup_of(method)
     path = estimate.save(tmp_path / "out.json")

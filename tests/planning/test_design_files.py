@@ -94,6 +94,7 @@ velocity_gain = 2.0
 """
 
 
+@pytest.mark.slow
 def test_a_joints_test_is_in_the_words_of_its_file(tmp_path: Path) -> None:
     file = loads(JOINT_FILE)
     assert file.loop is not None

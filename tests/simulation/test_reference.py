@@ -58,7 +58,7 @@ def errors(
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 9))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 9))])
 def test_joints_of_straight_lines_are_exact(seed: int, way: str) -> None:
     """Rigid and flexible, of friction that differs by the direction; they stick, slide and turn round."""
     case = (prismatic, rotary)[seed % 2](seed)
@@ -75,7 +75,7 @@ def test_joints_of_straight_lines_are_exact(seed: int, way: str) -> None:
 
 ALONE = [("prismatic", (law,)) for law in (*LAWS, *PIECES, "balanced")]
 QUICK = [
-    *((*row, "plain") for row in ALONE),
+    *((*row, "plain") for row in ALONE if "presliding" not in row[1][0]),
     ("rotary", ("stribeck", "link"), "plain"),
     ("rotary", ("cubic",), "late by a fraction"),
     ("rigid prismatic", ("drifting", "ripple"), "limited"),
@@ -88,6 +88,7 @@ QUICK = [
 ]
 SLOW = [
     *((*row, "late by periods") for row in ALONE),
+    *((*row, "plain") for row in ALONE if "presliding" in row[1][0]),
     *(("prismatic", (f"asymmetric-{law}",), "plain") for law in ("stribeck", "load-dependent")),
     ("rigid rotary", ("stribeck", "link"), "late by a fraction"),
     ("prismatic", ("two-piece",), "limited, with an integral"),

@@ -50,9 +50,8 @@ def faster(records: tuple[Record, ...], times: float) -> tuple[Record, ...]:
     return tuple(made)
 
 
-@pytest.mark.parametrize(
-    "name", [name if "six" in name else pytest.param(name, marks=pytest.mark.slow) for name in TWINS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TWINS)
 def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name: str) -> None:
     """At 1 ms below 1e-4 of the torque's peak, as promised, and falling with the fourth power of the step.
 

@@ -41,6 +41,7 @@ def answer(path: Path) -> dict[str, Any]:
     return dict(json.loads(path.read_text("utf-8")))
 
 
+@pytest.mark.slow
 def test_all_commands_begin_from_one_search(
     searches: list[Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -103,6 +104,7 @@ def test_a_test_for_a_refused_value_is_planned_from_its_start(tmp_path: Path, mo
     assert run(*words, *(word for n, x in TRUTH.items() for word in ("--set", f"parameters.{n}.start={x}"))) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no process can send itself these signals")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_what_is_known_when_the_checks_are_ended_is_printed_and_kept(

@@ -78,6 +78,7 @@ def test_an_estimate_is_taken_by_every_command(folder: Path, tmp_path: Path) -> 
     assert (tmp_path / "saved.urdf").read_text("utf-8") == (tmp_path / "anew.urdf").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     search = Mock(side_effect=verb.fit_records)
     monkeypatch.setattr(verb, "fit_records", search)
@@ -167,6 +168,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "robot.toml"
 
 
+@pytest.mark.slow
 def test_commands_of_one_joint(
     robot: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,8 @@ def test_without_the_token_nothing_is_there(client: TestClient, path: str) -> No
         assert TOKEN not in answer.text
 
 
-def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> None:
+@pytest.mark.slow
+def test_pages_set_no_cookie_and_bring_no_script_of_their_own(client: TestClient, asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
     asker.post("/channels", UNITS)
     asker.page.new_run("[joint]")
@@ -31,6 +32,9 @@ def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> 
     answers = [client.get(path) for path in paths] + [client.post("/runs/1"), client.get(f"{PAGE}/wrong/")]
     assert not any("set-cookie" in one.headers for answer in answers for one in [*answer.history, answer])
     assert not client.cookies
+    for text in (page.text for page in answers[:3]):
+        assert not any(one in text for one in ("<style", " style=", " onclick"))
+        assert text.count("<script") == text.count(f'<script src="/{TOKEN}/static/page.js"') == 1
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
@@ -50,14 +54,6 @@ def test_every_answer_tells_browsers_how_little_it_may_do(client: TestClient, pa
     assert (headers["x-content-type-options"], headers["referrer-policy"]) == ("nosniff", "no-referrer")
     policy = headers["content-security-policy"]
     assert {"default-src 'none'", "frame-ancestors 'none'"} <= {*policy.split("; ")} and "unsafe" not in policy
-
-
-def test_pages_bring_no_script_or_style_of_their_own(client: TestClient, asker: Asker, log: bytes) -> None:
-    asker.send("log.csv", log)
-    for path in ("/", "/channels", "/joint"):
-        text = client.get(path).text
-        assert not any(one in text for one in ("<style", " style=", " onclick"))
-        assert text.count("<script") == text.count(f'<script src="/{TOKEN}/static/page.js"') == 1
 
 
 @pytest.mark.parametrize("path", ["/static/../routes.py", "/static/%2e%2e/worker.py", "/runs/1/_run.json", "/x"])

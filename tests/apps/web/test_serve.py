@@ -64,6 +64,7 @@ def test_a_visitor_who_hangs_up_is_no_fault(
     assert "Traceback" not in "".join(capfd.readouterr())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows tells by other means who may read a file")
 def test_what_the_page_writes_is_its_owners_alone(served: Served, folder: Path, log: bytes) -> None:
     assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303

@@ -76,6 +76,7 @@ def test_a_file_that_is_cut_off_leaves_nothing(client: TestClient, asker: Asker)
     assert not asker.kept
 
 
+@pytest.mark.slow
 def test_a_text_file_can_be_read_in_another_way(client: TestClient, asker: Asker) -> None:
     rows = "\n".join(f"{i},{5 * i % 7}" for i in range(100)).encode()  # decimal commas, or two columns?
     assert "decimal" in asker.said("a.csv", rows)
@@ -94,6 +95,7 @@ def test_units_are_asked_where_nothing_says_them(asker: Asker) -> None:
     assert re.findall(r'<select id="record-channels-(torque|reference)-unit"[^>]* required>', page) == ["torque"]
 
 
+@pytest.mark.slow
 def test_a_joint_file_fills_in_the_form(client: TestClient, asker: Asker, log: bytes) -> None:
     joint = b'[controller]\nlaw = "cascade"\nposition_gain = 61.5\nvelocity_gain = 500.0\n'
     files = [("file", ("log.csv", log)), ("file", ("my axis+1.toml", joint))]

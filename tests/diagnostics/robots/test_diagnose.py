@@ -98,6 +98,7 @@ def test_a_scale_that_takes_the_torque_away_explains_nothing() -> None:
     assert not any(one.findings for one in search_axes(torques, [("rad", "N m")] * 3))
 
 
+@pytest.mark.slow
 def test_torques_that_are_exchanged_are_named_at_both_joints() -> None:
     records = list(records_of(arm(3), 2, noise=0.05))
     second, third = records[1], records[2]
@@ -160,6 +161,7 @@ def test_a_new_fault_of_a_joint_is_that_row_too() -> None:
     assert beside_tables(joint)["next"].startswith("take it off")
 
 
+@pytest.mark.slow
 def test_samples_that_are_missing_are_named_with_their_place() -> None:
     records = records_of(arm(3), 2, noise=0.02)
     step = round(1.7 / SAMPLE_TIME)

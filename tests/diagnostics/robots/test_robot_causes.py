@@ -38,7 +38,8 @@ def scaled(record: Record, position: float, torque: float) -> Record:
     )
 
 
-@pytest.mark.parametrize("cause", ["order", pytest.param("gear_ratio", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", ["order", "gear_ratio"])
 def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> None:
     robot = arm(6 if cause == "gear_ratio" else 3)
     records = list(records_of(robot, 2, noise=0.02))
@@ -54,7 +55,8 @@ def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> N
         assert found.cause.joints == ("joint3",) and found.cause.value == pytest.approx(1.1, rel=1e-2)
 
 
-@pytest.mark.parametrize(("joint", "stiffness"), [pytest.param(0, 2e4, marks=pytest.mark.slow), (1, 2e4), (1, -2e4)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "stiffness"), [(0, 2e4), (1, 2e4), (1, -2e4)])
 def test_a_spring_is_named_at_its_joint_in_spite_of_noise(joint: int, stiffness: float) -> None:
     robot = arm(3)
     q, v, a = motion(2, 3)

@@ -52,7 +52,8 @@ def test_each_of_several_logs_is_an_own_one(model: Any) -> None:
         assert (own := ji.validate(found, log)).answer.code is Prediction.OWN_RECORD and own.nominal_error is None
 
 
-@pytest.mark.parametrize("hertz", [(None, None), pytest.param((12.0, 15.0), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("hertz", [(None, None), (12.0, 15.0)])
 def test_a_long_log_in_windows_says_what_the_whole_says(hertz: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """All windows but the first begin in motion; a log that is long for memory goes in windows by itself."""
     loop = two(hertz).loop()

@@ -141,6 +141,7 @@ def test_to_the_other_side_and_back_nothing_changes() -> None:
     assert (here.gear, here.on("motor").gear) == (-100.0, 1.0)
 
 
+@pytest.mark.slow
 def test_exporting_text_needs_no_simulation_and_no_optional_package() -> None:
     program = (
         "import sys; from tests.output.export.models import model; import jointid as ji; "

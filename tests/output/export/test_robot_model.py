@@ -42,6 +42,7 @@ def test_what_is_written_has_the_same_torque(robot: Robot, name: str) -> None:
     assert any("rotors" in one for one in lost) == (name == "found.urdf")
 
 
+@pytest.mark.slow
 def test_a_rotor_that_noise_makes_negative_is_written_as_one_that_may_be() -> None:
     bare = replace(arm(3), joints=tuple(replace(one, rotor_inertia=0.0) for one in arm(3).joints))
     estimate = identified(arm(3), records_of(bare, 3, noise=0.05))

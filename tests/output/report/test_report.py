@@ -206,6 +206,7 @@ def test_what_is_refused_is_not_in_the_table_and_is_kept(tmp_path: Path) -> None
     assert np.ptp(told.figures["torque"].axes[0].lines[0].get_ydata()) > 0
 
 
+@pytest.mark.slow
 def test_a_robot_begins_with_its_joints() -> None:
     records = records_of(arm(3), 2, noise=0.2)
     report = Report.of(identified(arm(3), records), records)
