@@ -22,30 +22,28 @@ from tests.estimates import faults_of, identify
 from tests.faster_drives import CASCADE, LOG, RIGID, SERVO, drive
 
 
-def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[AxisFaults, float, float, float]:
-    """The check, value and two deviations of what is asked, and the value with the first finding corrected."""
+def _checked(record: Record, loop: ClosedLoop) -> tuple[AxisFaults, float]:
+    """Return the faults of a record, and the inertia that is identified from it."""
     estimate = identify(record, loop)
-    check, row = faults_of(estimate, record, most=1), estimate[asked]
-    by = check.findings[0].changes[asked].by if check.findings else 0.0
-    return check, row.value, 2 * row.stderr, row.value + by
+    return faults_of(estimate, record, most=1), estimate["inertia"].value
 
 
-@pytest.mark.parametrize("times", [2, 8])
+@pytest.mark.parametrize("times", [2, pytest.param(8, marks=pytest.mark.slow)])
 def test_a_drive_that_runs_faster_than_its_log_is_named(times: int) -> None:
-    check, value, _, corrected = _checked(*drive(CASCADE, times, noise=0.05), "inertia")
+    check, value = _checked(*drive(CASCADE, times, noise=0.05))
     first = check.findings[0]
     assert first.test.fault is PERIOD
     assert first.test.size == pytest.approx(1.0, abs=0.2)
     assert first.value == pytest.approx(1e-3 / times)
     assert str(check.reasons[0]).startswith(f"the controller runs faster than the log, at {times} kHz")
     assert f"declare its period, {1 / times:g} ms" in str(check.reasons[0])
-    assert abs(corrected - RIGID["inertia"]) < abs(value - RIGID["inertia"])
-    assert corrected == pytest.approx(RIGID["inertia"], rel=2e-3)
+    corrected = value + first.changes["inertia"].by
+    assert abs(corrected - RIGID["inertia"]) < min(2e-3 * RIGID["inertia"], abs(value - RIGID["inertia"]))
 
 
 @pytest.mark.slow
 def test_what_the_log_leaves_open_of_the_reference_is_tried_both_ways() -> None:
-    check, _, _, _ = _checked(*drive(SERVO, 8, noise=0.05), "inertia")
+    check, _ = _checked(*drive(SERVO, 8, noise=0.05))
     first = check.findings[0]
     assert 'interpolation = "cubic"' in str(check.reasons[0])
     assert first.value <= 0.25e-3
@@ -53,7 +51,7 @@ def test_what_the_log_leaves_open_of_the_reference_is_tried_both_ways() -> None:
 
 @pytest.mark.parametrize("law", [CASCADE, SERVO])
 def test_a_drive_that_runs_at_the_rate_of_its_log_is_not_blamed(law: Cascade | PD) -> None:
-    check, _, _, _ = _checked(*drive(law, 1, noise=0.05), "inertia")
+    check, _ = _checked(*drive(law, 1, noise=0.05))
     assert PERIOD not in [one.test.fault for one in check.findings]
     assert not any(one.law for one in check.suspected)
 

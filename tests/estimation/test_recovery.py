@@ -98,7 +98,7 @@ def test_a_fixed_parameter_keeps_its_value_and_a_wrong_one_biases_the_others() -
     assert errors(identify(made, LOOP, parameters=wrong).values, TRUTH) > 0.01
 
 
-@pytest.mark.parametrize("delay", [0.5e-3, 1e-3, 1.3e-3])
+@pytest.mark.parametrize("delay", [*(pytest.param(one, marks=pytest.mark.slow) for one in (0.5e-3, 1e-3)), 1.3e-3])
 @pytest.mark.parametrize("timing", [Timing.HELD, Timing.AVERAGED])
 def test_a_measured_torque_is_read_when_it_acts(delay: float, timing: Timing) -> None:
     """Held or averaged, behind a delay of whole or broken periods, by both methods."""

@@ -34,6 +34,7 @@ def two(axis: Twin, *free: str) -> list[ClosedLoopProblem]:
     return problems
 
 
+@pytest.mark.slow
 def test_derivatives_against_central_differences(axis: Twin) -> None:
     """Shared, own, one that is known but for what is added, and the drive's gain, through weights."""
     problems = two(axis, "position_gain")

@@ -177,11 +177,11 @@ CONTROLLERS = {
     "PID that holds": Lawful(AT_LIMIT, ("position_gain", "derivative_gain", "integral_gain", "limit", "gain"), RIGID),
     "PID that tracks": Lawful(replace(AT_LIMIT, anti_windup="track"), ("integral_gain", "limit", "gain"), RIGID),
 }  # fmt: skip
-_SLOW = ("digital", "late", "two rates", "tracks", "winds up")
+_QUICK = ("filtered", "state space", "PID that tracks")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in _SLOW else name for name in CONTROLLERS]
+    "name", [name if name in _QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CONTROLLERS]
 )
 def test_of_controllers(name: str) -> None:
     """From a start in motion, across reversals, sticking, delays and limits; of a limit that it acts."""

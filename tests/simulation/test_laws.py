@@ -66,6 +66,7 @@ def test_the_equation_of_a_link_in_gravity_holds(joint: Joint, values: dict[str,
         assert np.linalg.norm(moved[:, j] - column) < 1e-4 * np.linalg.norm(column), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joint", "values"), HANGING, ids=["rigid", "flexible"])
 def test_derivatives_of_a_link_that_begins_off_its_reference(joint: Joint, values: dict[str, float]) -> None:
     """By the delay, too, which moves no edge at the first sample."""

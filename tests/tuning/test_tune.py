@@ -165,6 +165,7 @@ def test_a_spring_that_carries_the_load_is_in_the_margins_and_not_in_the_feed_fo
     assert not any("turns" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
     wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.rows)
     controller = estimate.settings.loop.controller

@@ -139,6 +139,7 @@ def with_a_new_row(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(suspects, "_ROWS", (*suspects._ROWS, NEW))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("with_a_new_row")
 @pytest.mark.parametrize("fault", ADDED)
 def test_what_adds_to_the_torque_of_one_joint_is_named_with_its_size(fault: str) -> None:

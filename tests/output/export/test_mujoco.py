@@ -75,6 +75,7 @@ def test_the_twin_s_torque_is_ours_with_both_frictions_and_the_spring() -> None:
 
 
 @pytest.mark.parametrize("spring", [Spring("backlash"), Spring("three-piece")], ids=lambda spring: spring.name)
+@pytest.mark.slow
 def test_a_spring_in_pieces_is_tendons_beside_each_other(spring: Spring) -> None:
     joint, law = ji.FlexibleJoint("prismatic", spring=spring), CONTROLLERS["L19"]
     ours = simulated(joint, law, REFERENCE, PIECES)

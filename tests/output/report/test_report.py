@@ -40,7 +40,7 @@ def rigid_page() -> str:
     return reports.rigid().html()
 
 
-@pytest.mark.parametrize("kind", ["rigid", "idim", "flexible"])
+@pytest.mark.parametrize("kind", ["rigid", "idim", pytest.param("flexible", marks=pytest.mark.slow)])
 def test_every_section_is_there(kind: str) -> None:
     text = reports.marked(replace(getattr(reports, kind)(), absent={"part": "one sentence,\nin two lines"}))
     assert "One sentence, in two lines." in text
