@@ -374,17 +374,17 @@ def _compute_cost_limit(made: ModeProfile) -> float:
 
     The ratio of the compliance's robust deviation to that of a white residual is taken with a stiff spring and the
     friction on the motor's side, where the load's friction has no further effect. If that joint explains nothing, as
-    when its loop is unstable, there is no such ratio, and nothing is excluded.
+    when its loop is unstable, or never moves, there is no such ratio, and nothing is excluded.
     """
     problem, high = made.problem, made.room[1]
-    if made.stiff.cost > np.sum(problem.filter(problem.measured) ** 2):
-        return math.inf
     idle = [p for p in problem.free if p.name.startswith("load_") and p.name not in _SPRING]
     problem = problem.keeping({p.name: p.start or 0.0 for p in idle})
     stiff, softer = (describe(problem, made.room, {"share": _SHARE, "mode": mode}) for mode in (high, high / 1.2))
     x = np.array([made.stiff.at[p.name] for p in stiff.free])
     error, J = stiff.linearise(x)
     bent = problem.residual(softer.turn(x)) - error
+    if not bent.any() or made.stiff.cost > np.sum(made.problem.filter(made.problem.measured) ** 2):
+        return math.inf
     J = np.column_stack([np.delete(J, 1, axis=1), bent])
     ratio = float(Influence(J, error).robust().std[-1] / white(J, error).std[-1])
     return 2.706 * ratio**2 * float(error @ error) / (error.size - x.size)
