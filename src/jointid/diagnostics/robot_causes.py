@@ -2,7 +2,8 @@
 
 Each is a change of the log or of the model, with which the inverse model is solved again on some hundred instants. Its
 numbers are searched on a grid, then by descent (variable projection). Of the squares of all joints, each relative to
-its error as declared, the cause that lowers the sum most is named. To add one, yield its row in `_changes`.
+its error as declared, the cause that lowers the sum most is named, if it leaves little more than the noise. To add one,
+yield its row in `_changes`.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from jointid.records.signals.filtering import Filtering, lowpass
 
 _INSTANTS = 200
 _RANK = 1e-12  # of the normal matrix, whose columns have length 1
-_LEAVES = 0.4  # of the squares of all errors beyond that of the best joint: what leaves more is not the cause
+_LEAVES = 0.4  # of the squares of all errors beyond their noise: what leaves more is not the cause
+_BEYOND = 0.2  # of the squares of a joint's errors, which is more than chance adds to the noise of `_INSTANTS`
 _SIMPLER = 1.25  # times: so much more may be left by a cause with one free number less
 _BEST = 4  # causes whose numbers are searched, beside those of vectors, whose start is nothing or a rough direction
 _STEPS = 8  # of a descent
-_TWO = 2  # joints: one alone has none of these causes
 _SAME = 1e-9  # of the travel
 _REST = 0.02  # of the largest speed: below, Coulomb friction is left out
 _ZEROS = tuple((np.pi / 6 * k,) for k in range(-5, 7) if k)  # rad
@@ -95,36 +96,34 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
     """Cause that explains most of rigid IDIM's residual, or None."""
     from scipy.optimize import least_squares
 
-    if len(robot) < _TWO:
+    if len(robot) == 1:  # which has none of these causes
         return None
     declared = _thin(robot, records, filtering)
     error, sizes = _solver(declared)
 
     def fit(change: _Change, x: FloatArray) -> tuple[float, FloatArray, _Change]:
-        return float(np.sum(error(change.correct(x)) ** 2)), x, change
-
-    def descend(_: float, start: FloatArray, change: _Change) -> tuple[float, FloatArray, _Change]:
-        def residual(x: FloatArray) -> FloatArray:
-            return error(change.correct(x))
-
-        return fit(change, least_squares(residual, start, max_nfev=_STEPS).x)
+        return float(np.sum(error(x, change) ** 2)), x, change
 
     def cost(one: tuple[float, FloatArray, _Change]) -> float:
-        """Sum of squares, penalised for each number but those of a base, which a zero imitates."""
+        """Squares beyond the noise, penalised for each number but those of a base, which a zero imitates."""
         squares, x, change = one
         if change.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
             return math.inf
-        return squares * _SIMPLER ** (0 if change.name == "base" else x.size)
+        return max(squares - float(np.sum(noise)), 0.0) * _SIMPLER ** (0 if change.name == "base" else x.size)
 
     each = ([fit(change, np.array(x)) for x in change.starts] for change in _changes(declared))
     ends = sorted((min(one, key=lambda end: end[0]) for one in each), key=lambda end: end[0])
     free = [one for one in ends if one[1].size]
+    near = [one for place, one in enumerate(free) if place < _BEST or one[1].size > 1]
     found = [one for one in ends if not one[1].size]
-    found += [descend(*one) for place, one in enumerate(free) if place < _BEST or one[1].size > 1]
+    found += [fit(change, least_squares(error, x, args=(change,), max_nfev=_STEPS).x) for _, x, change in near]
+    _, x, change = min(found, key=lambda end: end[0])
+    # Of white noise, differences of successive errors have twice the squares; a model's error changes slowly.
+    noise = 0.5 * np.sum(np.diff(error(x, change).reshape(len(robot), -1)) ** 2, axis=1)
     squares, x, change = min(found, key=cost)
-    left = np.sum(error(change.correct(x)).reshape(len(robot), -1) ** 2, axis=1)
-    wrong, still = (np.sum(np.maximum(sizes**2 * one - np.min(sizes) ** 2, 0.0)) for one in (1.0, left))
-    if not still <= _LEAVES * wrong > 0.0:
+    left = np.sum(error(x, change).reshape(len(robot), -1) ** 2, axis=1)
+    wrong, still = (np.sum(sizes**2 * np.maximum(one - noise, 0.0)) for one in (1.0, left))
+    if still > _LEAVES * wrong or np.min(noise) > 1.0 - _BEYOND:
         return None
     value, joints = _value(change.name, robot, x), tuple(robot.names[k] for k in change.joints)
     said = joints or robot.names
@@ -161,14 +160,15 @@ def _thin(robot: Robot, records: Sequence[Record], filtering: Filtering) -> _Cas
     return _Case(robot, moved, torque[rows], moving)
 
 
-def _solver(declared: _Case) -> tuple[Callable[[_Case], FloatArray], FloatArray]:
-    """Residual function of a case, scaled per joint, and the scales, (n,)."""
+def _solver(declared: _Case) -> tuple[Callable[[FloatArray, _Change], FloatArray], FloatArray]:
+    """Residual function of a change, scaled per joint, and the scales, (n,)."""
     # Of any gravity and coupling: some of these columns are sums of others then.
     n, any_way = len(declared.robot), np.array([3.0, 5.0, -7.0])
     parameters = robot_parameters(replace(declared.robot.rigid, gravity=any_way), whole=False)
-    sizes = np.ones(n)
+    sizes, unchanged = np.ones(n), _Change("", (), lambda _: declared)
 
-    def error(case: _Case) -> FloatArray:
+    def error(x: FloatArray, change: _Change) -> FloatArray:
+        case = change.correct(x)
         motion = case.motion @ np.linalg.inv(case.robot.coupling).T
         columns = [parameters.columns(case.robot, *motion), inverse_columns(case.robot, *motion)[:, :, -n:]]
         W = np.concatenate(columns, axis=2) * case.moving[:, :, np.newaxis]
@@ -180,7 +180,7 @@ def _solver(declared: _Case) -> tuple[Callable[[_Case], FloatArray], FloatArray]
         return np.asarray(y - W @ (np.linalg.pinv(W.T @ W, rcond=_RANK, hermitian=True) @ (W.T @ y)))
 
     for _ in range(3):
-        sizes *= np.maximum(np.linalg.norm(error(declared).reshape(n, -1), axis=1), 1e-6)
+        sizes *= np.maximum(np.linalg.norm(error(np.zeros(0), unchanged).reshape(n, -1), axis=1), 1e-6)
     return error, sizes
 
 
@@ -202,7 +202,7 @@ def _changes(case: _Case) -> Iterator[_Change]:
         yield log("swapped_positions", (i, j), other, same)
     first = sorted(own, key=robot.names.__getitem__)
     orders = {tuple(own[::-1]), tuple(map(first.index, own)), *((*own[by:], *own[:by]) for by in own[1:])}
-    for order in sorted(one for one in orders if sum(k != at for k, at in enumerate(one)) > _TWO):
+    for order in sorted(orders):
         yield log("order", order, same[:, list(order)], same[:, list(order)])
     for k, link in enumerate(robot.links):
         for code, position, torque in _OF_JOINT:
@@ -218,8 +218,7 @@ def _changes(case: _Case) -> Iterator[_Change]:
         weighs, (), lambda x: case._replace(robot=replace(robot, gravity=size * x / np.linalg.norm(x))),
         [*np.eye(3), *-np.eye(3)],
     )  # fmt: skip
-    if np.any(robot.gravity):
-        yield _Change("unlogged_gravity", (), lambda _: case._replace(robot=replace(robot, gravity=np.zeros(3))))
+    yield _Change("unlogged_gravity", (), lambda _: case._replace(robot=replace(robot, gravity=np.zeros(3))))
     for i, j in itertools.permutations(own, 2):
         # Where joint j moves with motor i, some factor would leave a joint that no motor moves.
         if abs(i - j) == 1 and not robot.joints[i].coupling and abs(follows[j, i]) < _RANK:

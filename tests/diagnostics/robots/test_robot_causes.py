@@ -17,6 +17,7 @@ from tests.estimation.robots.test_one_estimate import logged
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of
 from tests.models.robots.trees import inverse_dynamics
 
+SLOW = pytest.mark.slow
 FILTERING = Filtering(cutoff=10.0, decimation=15, position_cutoff=20.0)
 
 
@@ -38,21 +39,20 @@ def scaled(record: Record, position: float, torque: float) -> Record:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cause", ["order", "gear_ratio"])
-def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str) -> None:
-    robot = arm(6 if cause == "gear_ratio" else 3)
-    records = list(records_of(robot, 2, noise=0.02))
+@pytest.mark.parametrize(("cause", "noise"), [pytest.param("order", 0.02, marks=SLOW), ("gear_ratio", 0.6)])
+def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str, noise: float) -> None:
+    robot = arm(3)
+    records = list(records_of(robot, 2, noise=noise))
     if cause == "order":
         records[1:] = records[2], records[1]
     if cause == "gear_ratio":
-        records[2] = scaled(records[2], 1.1, 1 / 1.1)
+        records[1] = scaled(records[1], 1.1, 1 / 1.1)
     found = diagnosed(robot, records)
     assert found.cause is not None and found.cause.name == cause and not found.explained
     assert not any(axis.faults.findings for axis in found.axes)
     assert found.sentence == found.sentences[0] and "check geometry" not in " ".join(found.sentences)
     if cause == "gear_ratio":
-        assert found.cause.joints == ("joint3",) and found.cause.value == pytest.approx(1.1, rel=1e-2)
+        assert found.cause.joints == ("joint2",) and found.cause.value == pytest.approx(1.1, rel=1e-2)
 
 
 @pytest.mark.slow
