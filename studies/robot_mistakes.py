@@ -273,7 +273,7 @@ def say(truth: Truth, seed: int) -> list[tuple[str, int]]:
     try:
         found = ji.identify(records, truth.model, ji.IDIM())
     except JointidError as error:
-        return [("unit" if "check its unit" in str(error) else f"refused: {error}", 0)]
+        return [("unit" if "its unit" in str(error) else f"refused: {error}", 0)]
     said = [("sample_time", names.index(one.split(":")[0]) + 1) for one in found.warnings if "sample_time" in one]
     diagnosis = found.diagnosis
     assert isinstance(diagnosis, Diagnosis)
