@@ -178,6 +178,7 @@ def test_by_keyboard_alone(visit: Visit) -> None:
     page.wait_for_selector("[name='controller.position_gain']:focus")  # the focus is at the fault
     keys.press("Control+A")
     keys.type("160.18")
+    assert page.query_selector(".wrong, .fault, [aria-invalid]") is None  # until the next check
     tab_to(visit, 'form[action$="/joint"] button.primary')
     keys.press("Enter")
     visit.on("runs/1")

@@ -355,7 +355,7 @@ def ready(listener: Progress, file: File | None = None, *, derivatives: bool = T
     """Load the compiled simulation of a file's joint, by default of lines; report a long compilation."""
     from jointid.simulation.warm_up import RIGID, warm_up
 
-    said = "loading the simulation; the first time on a machine it is compiled, in about half a minute"
+    said = "loading the simulation; the first time on a machine it is compiled, in about a minute"
     timer = threading.Timer(_PATIENCE, listener, [said])
     timer.start()
     try:

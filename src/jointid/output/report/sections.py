@@ -250,7 +250,7 @@ def _result(given: Report) -> Iterator[Block]:
     """Yield the answer, its checks and the drawing of a joint."""
     estimate = given.estimate
     yield Text(str(estimate.answer), style=_TONES.get(Trust(estimate.answer.trust.code), "bad"))
-    untested = "Whether it predicts another motion is not known yet: --held-out RECORD tests it."
+    untested = "Whether it predicts another motion is not known yet: validate it on another record."
     yield from map(Text, [check.sentence for check in given.checks] or [untested])
     if estimate.robot is None:
         if resonances := resonance_sentence(estimate):

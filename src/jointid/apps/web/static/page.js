@@ -45,6 +45,12 @@ document.addEventListener("input", (event) => {
   const form = event.target.closest("form[data-draft]");
   if (!form) return;
   edits += 1;
+  const wrong = event.target.closest(".wrong");  // no more: the next check judges what is entered now
+  if (wrong) {
+    wrong.classList.remove("wrong");
+    event.target.removeAttribute("aria-invalid");
+    all(".fault", wrong).forEach((said) => said.remove());
+  }
   chosen ||= event.target.matches("select, #transmission-ratio");  // a gear asks for the side of positions
   unkept = form;
   clearTimeout(timer);
