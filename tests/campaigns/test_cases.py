@@ -135,7 +135,6 @@ def fleet(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return place
 
 
-@pytest.mark.slow
 def test_a_campaign_is_run_goes_on_and_is_told(
     fleet: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,11 +61,12 @@ def test_it_is_told_in_numbers_and_files(designed: Design, tmp_path: Path) -> No
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
     assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv"]
-    table = ji.read(
-        tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t", kind="prismatic"
-    )
+    columns = {"reference": ji.Column("reference", "m")}
+    table = ji.read(tmp_path / "next" / "test.csv", columns, time="t", kind="prismatic")
     played = designed.records()[0].reference
     assert played is not None and table.reference.values == pytest.approx(played.values, abs=1e-12)
+    fastest = np.abs(np.diff(played.values, 2)).max() / played.sample_time**2
+    assert designed.axes[0].reached["acceleration"] == pytest.approx(fastest)
     assert len(designed.plot().axes) == 2
 
 
