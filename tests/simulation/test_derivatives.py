@@ -177,7 +177,7 @@ CONTROLLERS = {
     "PID that holds": Lawful(AT_LIMIT, ("position_gain", "derivative_gain", "integral_gain", "limit", "gain"), RIGID),
     "PID that tracks": Lawful(replace(AT_LIMIT, anti_windup="track"), ("integral_gain", "limit", "gain"), RIGID),
 }  # fmt: skip
-_QUICK = ("filtered", "state space", "PID that tracks")
+_QUICK = ("filtered", "tracks", "PID that tracks")
 
 
 @pytest.mark.parametrize(
