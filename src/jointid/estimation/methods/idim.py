@@ -190,11 +190,13 @@ class IDIM(Method):
             solved = solve_rows(rows, estimator, {**known, ENCODER_OFFSET.name: ENCODER_OFFSET.fix(0.0)}, make)
         free, values = solved.free, solved.values
         limit, model = min(one.limit for one in motions), "flexible" if rows.equations > rows.driven else "rigid"
+        noted = describe_noise_limit(common, limit, motions[0].sample_time, model)
+        torques, motions = torques_along(inverse, motions, solved), []  # motions of long records take much memory
         end = "settled" if solved.converged else "still changing"
         made = build_estimate(
             records=[record for log in logs for record in log],
             correlation=solved.covariance.correlation[np.ix_(free, free)],
-            torques=torques_along(inverse, motions, solved),
+            torques=torques,
             error=solved.rows.relative_errors(values),
             fitted=solved.residual.size,
             end=(f"{end} after {pluralise(solved.turns, 'solution')}", solved.converged),
@@ -203,7 +205,7 @@ class IDIM(Method):
             settings=Settings(
                 self.name, VARIANTS[estimator], inverse.system, None, common, inverse.delay, timing=solved.timing
             ),
-            warnings=(*solved.said, *describe_noise_limit(common, limit, motions[0].sample_time, model), *warnings),
+            warnings=(*solved.said, *noted, *warnings),
             **state(solved),
             **parts,
         )
@@ -221,9 +223,7 @@ def _compare_instruments(solved: Solution, Z: FloatArray) -> Check:
     return check_of(Subject.INSTRUMENTS, not rejected, Reason.MOTION_MEASURED, said, {"p_value": p_value})
 
 
-def torques_along(
-    inverse: Inverse, motions: Sequence[MeasuredMotion], found: Solution
-) -> tuple[FloatArray, FloatArray]:
+def torques_along(inverse: Inverse, motions: list[MeasuredMotion], found: Solution) -> tuple[FloatArray, FloatArray]:
     """Measured and modelled torques of the motors as logged, (samples, n) each."""
     n, measured, predicted = inverse.driven, list[FloatArray](), list[FloatArray]()
     for motion in (part for whole in motions for part in whole.split()):

@@ -446,12 +446,12 @@ def moving_weights(velocity: FloatArray, long: int = 3, reach: int = 3, *, turni
     from scipy.ndimage import grey_dilation, grey_opening
 
     speed = np.abs(velocity)
-    slow = (speed < REST * float(np.sqrt(np.mean(speed**2)))).astype(np.float64)
+    slow = (speed < REST * float(np.sqrt(np.mean(speed**2)))).astype(np.uint8)
     left = grey_dilation(grey_opening(slow, (long,), mode="constant"), (2 * reach + 1,), mode="constant")
     if turning:
-        way = np.sign(velocity)
+        way = np.sign(velocity).astype(np.int8)
         turns = np.diff(way, prepend=way[:1], append=way[-1:]) != 0.0
-        turns = (turns[1:] | turns[:-1]).astype(np.float64)
+        turns = (turns[1:] | turns[:-1]).astype(np.uint8)
         left = np.maximum(left, grey_dilation(turns, (2 * reach - 1,), mode="constant"))
     return np.asarray(1.0 - left)
 

@@ -461,7 +461,7 @@ class Estimate(Documented):
 
 def fingerprint(torque: FloatArray) -> str:
     """SHA-256 of a torque's samples, which identifies a record."""
-    return hashlib.sha256(np.ascontiguousarray(torque).tobytes()).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(torque).data).hexdigest()
 
 
 def law_fingerprint(loop: ClosedLoop) -> str:
