@@ -19,10 +19,6 @@ PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
 FILTERING = ji.Filtering(cutoff=60.0)
 
 
-def problem_of(record: Record, delay: float | None = None) -> ClosedLoopProblem:
-    return motion_problem([record], JOINT, FILTERING, JOINT.parameters, log_delay(delay, 1e-3))
-
-
 @pytest.mark.slow
 def test_a_record_without_noise_gives_the_truth_from_no_start() -> None:
     made = twin("L19", noise="none")
@@ -91,7 +87,8 @@ def test_a_load_that_sticks_is_identified() -> None:
 
 
 def test_the_slopes_of_the_residual_are_those_of_differences() -> None:
-    problem = problem_of(twin("L19", noise="none").record.without("injected"))
+    record = twin("L19", noise="none").record.without("injected")
+    problem = motion_problem([record], JOINT, FILTERING, JOINT.parameters, log_delay(None, 1e-3))
     around = {"log_delay": 3.3e-4, "initial_load_position": 1e-5, "initial_load_velocity": 1e-3}
     x = problem.vector(TABLE_2 | around)
     _, J = problem.linearise(x)

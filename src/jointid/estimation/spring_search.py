@@ -273,7 +273,7 @@ def search_spring(
         MethodError: no start can be simulated.
     """
     wide, ends, together = on_band(problem, filtering, math.inf), list[tuple[float, float, FloatArray]](), 0
-    rough, history = replace(ROUGH, poor=poor * wide.size), replace(history, admits=partial(_is_followed, wide))
+    rough, history = replace(ROUGH, poor=poor * wide.size), replace(history, admits=partial(is_followed, wide))
     for values in _explore(wide, rows, history)[:_REFINED]:
         on = on_band(problem, filtering, frequency_of(values))
         x = history.solve(on, on.vector(values), rough).x
@@ -305,7 +305,7 @@ def search_spring(
     return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
 
 
-def _is_followed(problem: ClosedLoopProblem, x: FloatArray) -> bool:
+def is_followed(problem: ClosedLoopProblem, x: FloatArray) -> bool:
     """Test whether a log can follow a candidate's mode and damping."""
     values = problem.values(x)
     ease = sum(1.0 / max(values[f"{side}_inertia"], 1e-300) for side in SIDES)

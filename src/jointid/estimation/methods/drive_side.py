@@ -18,6 +18,7 @@ squares is biased: the intervals are widened for that (`Influence.widen_for_moti
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ from jointid.estimation.problems.inverse_model import (
 from jointid.estimation.problems.simulated import ClosedLoopProblem, MotionLog, require_free
 from jointid.estimation.result.estimate import Estimate, Settings, build_estimate, rows_of_problem
 from jointid.estimation.robots.simulated import identify_simulated_robot
-from jointid.estimation.spring_search import FASTEST, rigid_cutoff, row_of_frequencies, search_spring
+from jointid.estimation.spring_search import FASTEST, is_followed, rigid_cutoff, row_of_frequencies, search_spring
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -173,7 +174,8 @@ def _search_spring(records: Sequence[Record], problem: ClosedLoopProblem, histor
     rigid = motion_problem(records, joint.rigid, slow, joint.rigid.parameters, delay)
     values, cutoff = _fit_rigid(rigid, replace(history, tolerance=ROUGHLY)).values, problem.filtering.cutoff or 0.0
     row = row_of_frequencies(0.05 * cutoff, min(1.5 * cutoff, FASTEST / problem.sample_time))
-    return history.solve(problem, search_spring(problem.roughly(), [(values, row)], problem.filtering, history).x)
+    near = search_spring(problem.roughly(), [(values, row)], problem.filtering, history)
+    return replace(history, admits=partial(is_followed, problem)).solve(problem, near.x)
 
 
 def _fit_rigid(problem: ClosedLoopProblem, history: History) -> Solved:

@@ -158,8 +158,7 @@ class IDIM(Method):
                 "nominal": rows.relative_errors(nominal),
             }
 
-        inverse = inverse_of_robot(robot, parameters)
-        return self._regress(inverse, loop, logs, filtering, known, state, warnings)
+        return self._regress(inverse_of_robot(robot, parameters), loop, logs, filtering, known, state, warnings)
 
     def _regress(
         self,

@@ -209,8 +209,7 @@ def judged(estimate: Estimate) -> Estimate:
 
 def _replace(checks: Sequence[Check], by: Sequence[Check]) -> tuple[Check, ...]:
     """Return checks, those on the questions of others replaced by these."""
-    asked = {one.name for one in by}
-    return (*(one for one in checks if one.name not in asked), *by)
+    return (*(one for one in checks if one.name not in [other.name for other in by]), *by)
 
 
 def _check_numbers(estimate: Estimate) -> Iterator[Check]:

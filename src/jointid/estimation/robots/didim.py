@@ -302,7 +302,7 @@ class _Search:
         found = self.find_springs_from(problem, problem.roughly(), rigid)
         if self.along and problem.roughly() is not problem and None not in found.springs.values():
             self.history.progress("no spring is seen by the beginning of the record; searching along all of it")
-            found = self.find_springs_from(problem, problem, rigid)
+            return self.find_springs_from(problem, problem, rigid)
         return found
 
     def find_springs_from(self, problem: Simulated, rough: Simulated, rigid: RobotFit) -> RobotFit:
