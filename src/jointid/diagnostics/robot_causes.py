@@ -107,9 +107,9 @@ def find_robot_cause(robot: Robot, records: Sequence[Record], filtering: Filteri
     def cost(one: tuple[float, FloatArray, _Change]) -> float:
         """Squares beyond the noise, penalised for each number but those of a base, which a zero imitates."""
         squares, x, change = one
-        if change.name == "geometry" and np.max(np.abs(x)) >= _LONGEST:
-            return math.inf
-        return max(squares - float(np.sum(noise)), 0.0) * _SIMPLER ** (0 if change.name == "base" else x.size)
+        far = change.name == "geometry" and np.max(np.abs(x)) >= _LONGEST
+        beyond = max(squares - float(np.sum(noise)), 0.25 * _BEYOND * len(robot))
+        return math.inf if far else beyond * _SIMPLER ** (0 if change.name == "base" else x.size)
 
     each = ([fit(change, np.array(x)) for x in change.starts] for change in _changes(declared))
     ends = sorted((min(one, key=lambda end: end[0]) for one in each), key=lambda end: end[0])
