@@ -95,12 +95,12 @@ def test_the_side_of_a_reference_and_the_unit_of_a_gain_are_asked_for() -> None:
         with pytest.raises(JointFileError, match=asked):
             form.require(geared | more, controller=controller)
     form.require(geared | both | {"controller.gain": "1"}, controller=True)
-    assert form.make_tables(geared, [])["transmission"] == {"ratio": 50}
-    shown = fields_of(FILLED)
+    shown = fields_of(FILLED)  # without a gear no side
+    assert (form.make_tables(geared, [])["transmission"], both.keys() & shown.keys()) == ({"ratio": 50}, set())
     assert [*place_faults(JointFileError("it needs the lead of the transmission"), shown)] == ["transmission.lead"]
-    said = 'velocity_gain, period = 1e-4, [ripple] period = 0.2, torque_filters = [{ kind = "notch" }], t = 2'
-    told = "“Velocity gain”, “Period”: 1e-4, {0[0]} (in Further lines), {0[1]} (in Further lines), t = 2"
-    assert [form.name_fields(said, one) for one in (shown, {})] == [told.format(said.split(", ")[2:4]), said]
+    said = 'velocity_gain, period = 1e-4, [ripple] period = 2, torque_filters = [{ kind = "pt1" }], of the transmission'
+    told = "“Velocity gain”, “Period”: 1e-4, {0[0]} (in Further lines), {0[1]} (in Further lines), {0[2]} (step 2)"
+    assert [form.name_fields(said, one) for one in (shown, {})] == [told.format(said.split(", ")[2:]), said]
     (torque,) = (one.fields for one in form.channel_step(geared) if one.title == "Torque")
     assert [one.key.rpartition(".")[2] for one in torque[:3]] == ["column", "unit", "gain"]  # what a form shows openly
 

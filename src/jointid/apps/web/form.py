@@ -159,9 +159,9 @@ def channel_step(texts: Texts) -> Iterator[Section]:
         counts = texts.get(fields[0].key) or texts.get("drive.profile")
         title = name.replace("_", " ").capitalize()
         first = {f"record.channels.{name}.{one}" for one in ("column", "unit")}
-        sides = {*_SIDES, "record.channels.torque.gain"}
-        first |= sides if texts.get(_RATIO) else {f"record.channels.{name}.gain"}
-        shown = tuple(sorted(fields, key=lambda one: one.key not in first))
+        first |= {*_SIDES, "record.channels.torque.gain"} if texts.get(_RATIO) else {f"record.channels.{name}.gain"}
+        asked = (one for one in fields if one.key not in _SIDES or texts.get(_RATIO) or texts.get("transmission.lead"))
+        shown = tuple(sorted(asked, key=lambda one: one.key not in first))
         yield Section(title, shown if counts else shown[:1], folded=name not in _ALWAYS, channel=True)
     yield Section("A gear, a belt or a screw between motor and load", _find("transmission"), folded=True)
     drive = _find("joint.torque_constant", "drive")
@@ -275,7 +275,7 @@ def name_fields(words: str, shown: Mapping[str, Field]) -> str:
             return f"“{label}”{value.replace(' =', ':', 1)}"
         return f"{found[0]} (in Further lines)" if value and shown and (table or "_" in key) else found[0]
 
-    return _STATED.sub(show, words)
+    return _STATED.sub(show, words).replace("of the transmission", f"of the transmission{' (step 2)' * bool(shown)}")
 
 
 def place_faults(error: Exception | None, shown: Mapping[str, Field]) -> dict[str, list[str]]:
