@@ -230,6 +230,7 @@ FIRST: dict[str, tuple[str, tuple[Edit, ...]]] = {  # of 24 mistakes, and of wha
     "notch": ("notch", (has(torque_filters=(Notch(60.0, 84.0, 0.15),)),)),
     "dead time": ("delay", (has(delay=1e-3),)),
     "log late": ("log_delay", (has(delay=1e-3), declares(delay=1e-3), log("torque", late_by(1)))),
+    "reference late": ("log_delay", (log("reference", late_by(2)),)),
     "limit": ("limit", (has(limit=2.4),)),
     "period": ("period", (has(period=1.25e-4),)),
     "velocity filter": ("velocity_filter", (has(velocity_filter=FirstOrder(3e-3)),)),

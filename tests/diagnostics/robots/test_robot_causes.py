@@ -17,7 +17,6 @@ from tests.estimation.robots.test_one_estimate import logged
 from tests.estimation.robots.twin import SAMPLE_TIME, arm, identified, motion, records_of
 from tests.models.robots.trees import inverse_dynamics
 
-SLOW = pytest.mark.slow
 FILTERING = Filtering(cutoff=10.0, decimation=15, position_cutoff=20.0)
 
 
@@ -39,7 +38,7 @@ def scaled(record: Record, position: float, torque: float) -> Record:
     )
 
 
-@pytest.mark.parametrize(("cause", "noise"), [pytest.param("order", 0.02, marks=SLOW), ("gear_ratio", 0.6)])
+@pytest.mark.parametrize(("cause", "noise"), [pytest.param("order", 0.02, marks=pytest.mark.slow), ("gear_ratio", 0.6)])
 def test_one_cause_is_named_in_place_of_faults_of_single_joints(cause: str, noise: float) -> None:
     robot = arm(3)
     records = list(records_of(robot, 2, noise=noise))
