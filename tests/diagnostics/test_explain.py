@@ -140,7 +140,7 @@ def test_a_law_is_the_answer_where_a_record_is_too_short_for_free_responses() ->
     assert said is not None and said.named[:1] == ("averaged_reference",)
 
 
-@pytest.mark.parametrize("name", ["rigid", "direct", "screw"])
+@pytest.mark.parametrize("name", ["rigid", *(pytest.param(one, marks=SLOW) for one in ("direct", "screw"))])
 @pytest.mark.parametrize("mistake", MORE, ids=[one.name for one in MORE])
 def test_what_the_samples_show_is_said_without_a_search(name: AxisName, mistake: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(searching, "list_cases", Mock(side_effect=AssertionError("causes were put right in turn")))

@@ -46,7 +46,7 @@ def vary(problem: ClosedLoopProblem, x: FloatArray) -> list[FaultSignature]:
     return [replace(one, column=problem.filter(one.column)) for one in along if one.fault.mechanical]
 
 
-@pytest.mark.parametrize("seed", [pytest.param(3001, marks=pytest.mark.slow), 3005])  # P-PI and PID
+@pytest.mark.parametrize("seed", [pytest.param(one, marks=pytest.mark.slow) for one in (3001, 3005)])  # P-PI and PID
 def test_the_study_s_small_steps_are_the_exact_simulation(seed: int) -> None:
     axis = drive(seed, 3.0)
     experiment = prepare(axis.loop, axis.record)
