@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from jointid.common.arrays import orthonormal_basis, triangle
+from jointid.common.arrays import orthonormal_basis
 from jointid.common.parameters import Parameter, Quantity
 from jointid.solvers.solve import Counted, LevenbergMarquardt, Solution, Status, solve
 from tests.solvers.nist import REGRESSIONS, Array, Certified
@@ -191,15 +191,6 @@ def test_evaluations_are_those_counted_and_steps_are_told() -> None:
     second = solve(counted, LevenbergMarquardt(1e-8), first.x)
     assert tuple(told) == first.trace[1:]
     assert counted.evaluations == first.evaluations + second.evaluations > 4 == first.evaluations
-
-
-@pytest.mark.parametrize("rows", [5, 9, 2000, 5003])
-def test_triangle_of_blocks_is_that_of_the_whole(rows: int) -> None:
-    """Up to the sign of a row."""
-    rng = np.random.default_rng(rows)
-    columns = rng.standard_normal((rows, 8)) * 10.0 ** np.arange(-4, 4)
-    whole = np.linalg.qr(columns, mode="r")
-    assert np.abs(triangle(columns)) == pytest.approx(np.abs(whole), rel=1e-9, abs=1e-12)
 
 
 def test_a_basis_spans_what_nearly_collinear_columns_do() -> None:

@@ -10,10 +10,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Work = TypeVar("Work", bound=Callable[..., object])
 
 THREADS = "JOINTID_THREADS"
 """Environment variable with the largest number of threads of a computation."""
@@ -42,30 +45,23 @@ def in_threads(function: Callable[[Item], Result], items: Sequence[Item]) -> lis
         return list(pool.map(function, items))
 
 
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread in a context.
-
-    Matrices here have thousands of rows and some ten columns: further threads only wait.
-    """
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
-    with threadpool_limits(1, "blas"):
-        yield
+def one_thread(function: Work) -> Work:
+    """Limit BLAS to one thread: with thousands of rows and some ten columns, further threads only wait."""
+    limited: Work = threadpool_limits.wrap(limits=1, user_api="blas")(function)
+    return limited
 
 
 def begin_worker() -> None:
     """Initialise a worker: ignore Ctrl-C, and exit when the parent exits."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    parent: Any = multiprocessing.parent_process()
 
+    def end_with_parent() -> None:
+        parent.join()
+        os._exit(1)
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 @contextlib.contextmanager

@@ -175,7 +175,7 @@ def _in_torque(unit: str, torque_unit: str) -> str:
     return per(above, below) if stroke else above
 
 
-@one_thread()
+@one_thread
 @takes_record
 def learn_controller(
     record: Record,

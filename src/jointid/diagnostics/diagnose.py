@@ -38,7 +38,7 @@ _POOR_MOTION = "motion_poor"
 _ENOUGH = (_POOR_MOTION, Agreement.SCALED, Agreement.LATE)  # after these no joint would be right
 
 
-@one_thread()
+@one_thread
 @takes_record
 def diagnose(
     record: Record | Sequence[Record],

@@ -58,7 +58,7 @@ _PART = "checks read the first {:.3g} s of the record: jointid diagnose reads al
 LATER = {"later": True}  # values of a check that was left out on request, and is made up for by `check_later`
 
 
-@one_thread()
+@one_thread
 @takes_record
 def identify(
     record: Record | Sequence[Record] | Sequence[Sequence[Record]] | Log | InMemory,
@@ -137,7 +137,7 @@ def identify(
     return assemble(fit, *run_checks(checked, progress, whole=checks == "whole"))
 
 
-@one_thread()
+@one_thread
 def check_later(estimate: Estimate, record: Any, progress: Progress = ignore_progress) -> Estimate:
     """Check an estimate of one record afterwards, without a search."""
     part, settings, x = estimate.robot, estimate.settings, estimate.x

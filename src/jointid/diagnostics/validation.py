@@ -204,7 +204,7 @@ def _rms(shares: Sequence[float | None]) -> float | None:
     return float(np.sqrt(np.mean(np.square(known)))) if len(known) == len(shares) else None
 
 
-@one_thread()
+@one_thread
 @takes_record
 def validate(estimate: Estimate, record: Record | Sequence[Record]) -> Validation:
     """Compare an identified joint or robot with a record.

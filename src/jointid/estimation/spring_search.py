@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms, triangle
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Detail
 from jointid.common.parallel import in_threads
@@ -463,7 +463,7 @@ class SplitRobot:
         zero = _stiffen(np.zeros(len(unit)), parameters, rigid)
         felt = np.column_stack([_stiffen(one, parameters, rigid) - zero for one in unit])
         # The information still holds what is known of a sum of two unknown parameters; the covariance has lost it.
-        known = triangle(rigid.problem.weigh(rigid.slopes))
+        known = np.linalg.qr(rigid.problem.weigh(rigid.slopes), mode="r")
         own = [c for c, p in enumerate(parameters.places) if p.own == "inertia"]
         joints = np.array([parameters.places[c].axis for c in own], dtype=np.int64)
         began, lower = np.zeros(len(unit)), Bounds.of(problem.free).lower.copy()  # a friction is not negative

@@ -33,7 +33,7 @@ _DOUBTFUL = "at some joints of the interval it cannot be simulated, or shows not
 One = TypeVar("One")
 
 
-@one_thread()
+@one_thread
 @takes_record
 def design(
     model: Estimate | ClosedLoop | Robot | RobotLoop,

@@ -158,7 +158,7 @@ def _tabulate(title: str, gains: tuple[Gain, ...]) -> Table:
 _NONE = "only of a cascade, a PD or a PID gains are proposed, if some keep the margins for all joints: ask for less"
 
 
-@one_thread()
+@one_thread
 def tune(estimate: Estimate, *, progress: Progress = ignore_progress, **asked: Any) -> Tuned:
     """Compute the margins of an estimate's loop, and propose settings.
 

@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, column_norms, triangle
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import ADDED, Parameter, Quantity
@@ -157,7 +157,7 @@ def find_unseen(J: FloatArray) -> FloatArray:
     """
     from scipy.linalg import qr, solve_triangular
 
-    _, sizes, vectors = np.linalg.svd(triangle(J / column_norms(J)))
+    _, sizes, vectors = np.linalg.svd(np.linalg.qr(J / column_norms(J), mode="r"))
     unseen = vectors[np.sum(sizes > ROUNDING * sizes[0]) :]
     if len(unseen) < 2:
         return unseen

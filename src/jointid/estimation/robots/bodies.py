@@ -252,7 +252,7 @@ def _convert(inertial: FloatArray) -> FloatArray:
     return np.array([body.mass, *body.centre, *body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
 
 
-@one_thread()
+@one_thread
 def identify_payload(
     model: Robot | RobotLoop,
     empty: Sequence[Record] | Estimate,
