@@ -9,14 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from rich.console import Console, RenderableType
-    from rich.text import Text as Words
 
 _MARKS: Mapping[bool | None, tuple[str, str]] = {
     True: ("yes", "green"),
@@ -170,13 +169,10 @@ def plain_console(**options: Any) -> Console:
     """Return a rich console that prints all text literally, without markup."""
     from rich.console import Console
 
-    class PlainConsole(Console):
-        """A console that escapes control characters."""
-
-        def render_str(self, text: str, **options: Any) -> Words:
-            return super().render_str(printable(text), **options)
-
-    return PlainConsole(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
+    console: Any = Console(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
+    render = console.render_str
+    console.render_str = lambda text, **options: render(printable(text), **options)  # escapes control characters
+    return cast("Console", console)
 
 
 def _draw_facts(block: Facts) -> RenderableType:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from jointid.common.text import number
 from jointid.solvers.solve import Counted, LevenbergMarquardt, Problem, solve
 from jointid.uncertainty.covariance import COVERED, ROUNDING, Covariance, covariance_of
 from jointid.uncertainty.identifiability import Combination
+
+_Point: TypeAlias = tuple[float, float, FloatArray]  # a value of the quantity, the least cost there, the parameters
 
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
 _TINY = 1e-30  # of a complex step, which no digit of a real value has
@@ -138,12 +140,6 @@ class _Held:
         return np.append(residual, row), np.vstack([J, self.stiffness * self.weights])
 
 
-class _Point(NamedTuple):
-    value: float
-    cost: float
-    x: FloatArray
-
-
 def profile(
     problem: Problem,
     x: FloatArray,
@@ -169,22 +165,21 @@ def profile(
     def fit(value: float, start: FloatArray) -> _Point:
         end = solve(_Held(counted, weights, _HELD / math.sqrt(flat or 1.0), value), LevenbergMarquardt(1e-8, 30), start)
         error = end.residual[:-1]
-        return _Point(float(weights @ end.x), float(error @ error), end.x)
+        return float(weights @ end.x), float(error @ error), end.x
 
-    centre = _Point(float(weights @ x), float(residual @ residual), x)
+    centre = float(weights @ x), float(residual @ residual), x
     found, own = [centre], weights != 0
     for sign in (-1.0, 1.0) if threshold else ():
         furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)
         limit = float(np.sum(weights[own] * furthest[own]))
         found += _follow(fit, centre, direction, sign * half, limit, threshold, 14)  # at most, on each side
-    found.sort(key=lambda point: point.value)
-    best = int(np.argmin([point.cost for point in found]))
-    values = np.array([point.value for point in found])
-    rise = np.array([point.cost - found[best].cost for point in found])
+    values, costs = np.array(sorted(point[:2] for point in found)).T
+    best = int(np.argmin(costs))
+    rise = costs - costs[best]
     return ProfileInterval(
-        combination.name, combination.formula, combination.unit, centre.value, values, rise, threshold,
+        combination.name, combination.formula, combination.unit, centre[0], values, rise, threshold,
         (_crossing(values[best::-1], rise[best::-1], threshold), _crossing(values[best:], rise[best:], threshold)),
-        centre.cost - found[best].cost > 1e-3 * threshold, counted.evaluations,
+        bool(centre[1] - costs[best] > 1e-3 * threshold), counted.evaluations,
     )  # fmt: skip
 
 
@@ -216,26 +211,27 @@ def _follow(
     """
     from scipy.optimize import root_scalar
 
-    found, roots, nearer = [centre], {centre.value: -1.0}, min if half > 0 else max
+    found, begin, nearer = [centre], centre[0], min if half > 0 else max
+    roots = {begin: -1.0}
 
     def root_at(value: float) -> float:
         """Root of the rise relative to the threshold, less 1, at `value`."""
         if value not in roots:
-            near, *others = sorted(found, key=lambda point: abs(point.value - value))
-            apart = near.value - others[0].value if others else 0.0
-            slope = (near.x - others[0].x) / apart if apart else direction
-            found.append(fit(value, near.x + (value - near.value) * slope))
-            risen = max(found[-1].cost - min(point.cost for point in found), 0.0)
+            (near, _, x), *others = sorted(found, key=lambda point: abs(point[0] - value))
+            apart = near - others[0][0] if others else 0.0
+            slope = (x - others[0][2]) / apart if apart else direction
+            found.append(fit(value, x + (value - near) * slope))
+            risen = max(found[-1][1] - min(cost for _, cost, _ in found), 0.0)
             roots[value] = math.sqrt(risen / threshold) - 1.0
         return roots[value]
 
-    way, outside, risen = 0.5 * half, centre.value, -1.0  # of the way to where a linear problem would end
-    while risen < 0.0 and len(found) <= most and abs(limit - found[-1].value) > 1e-3 * abs(way):
-        inside, outside = outside, nearer(centre.value + way, limit)
+    way, outside, risen = 0.5 * half, begin, -1.0  # of the way to where a linear problem would end
+    while risen < 0.0 and len(found) <= most and abs(limit - found[-1][0]) > 1e-3 * abs(way):
+        inside, outside = outside, nearer(begin + way, limit)
         risen = root_at(outside)
         way *= min(max(1.05 / max(risen + 1.0, 1e-9), 1.5), 3.0)  # just beyond the threshold
     if risen > 0.5 and len(found) <= most:  # too far away to interpolate
-        narrow = 0.02 * abs(outside - centre.value)  # of the way from the estimate to an end: so near the end is known
+        narrow = 0.02 * abs(outside - begin)  # of the way from the estimate to an end: so near the end is known
         root_scalar(root_at, bracket=(inside, outside), method="brentq", xtol=narrow, maxiter=most + 1 - len(found))
     return found[1:]
 
