@@ -24,6 +24,7 @@ from jointid.models.joints import Joint
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Tree
 from jointid.records.record import Tap, Timing
+from jointid.simulation import kernels
 from jointid.simulation.kernels import LANES, IntArray, Seeds
 from jointid.simulation.loop_input import AxisInput, acting, along, averages, to_log
 from jointid.simulation.plant import DELAY, OF_RECORD, Numbers, Place
@@ -148,10 +149,11 @@ def _follow(
     seeds = _seeds_of_lines(numbers.joints, names, links, tuple(keys)) if lines else numbers.seeds(kept.plant, keys)
     from jointid.simulation.kernels.variation import follow
 
+    wound = np.zeros((1, kernels.MASS + 2), np.complex128) if kept.path is None else None
     follow(
         kept.plant, experiment.tree, numbers.inertials, experiment.sampled, (0.0,) * numbers.count if alone else None,
-        kept.start.before, kept.command, kept.excess, kept.tape, kept.path, seeds, places, speeds, laws, of_law,
-        np.array([column for column, *_ in explicit], dtype=np.int64), limits, command, states, command[:, :0],
+        kept.start.before, kept.command, kept.excess, kept.tape, kept.path, wound, seeds, places, speeds, laws,
+        of_law, np.array([column for column, *_ in explicit], dtype=np.int64), limits, command, states, command[:, :0],
     )  # fmt: skip
     return command, states
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Tree
+from jointid.simulation import kernels
 from jointid.simulation.derivatives import columns_of
 from jointid.simulation.kernels import STATE, IntArray
 from jointid.simulation.plant import HEAVY, LOAD_STATE, LOG_DELAY, Bools, Numbers, Place
@@ -183,9 +184,9 @@ def differentiate_drive_side(run: DriveSideRun, keys: Sequence[Place]) -> FloatA
     joint = (0.0,) * heavy.count if prescribed.tree is None else None
     follow(
         plant, prescribed.tree, heavy.inertials, pass_on(run.command, prescribed.step), joint, np.zeros(n), run.command,
-        np.zeros((n, 0, 1)), run.tape, None, heavy.seeds(plant, keys), *_slopes_at_start(run, keys), none,
-        np.zeros((n, 0, 1, 0)), np.zeros(0, np.int64), np.zeros((n, 1, count)), np.zeros((n, parts + 1, 0)),
-        np.zeros((0, 4, count)), speeds,
+        np.zeros((n, 0, 1)), run.tape, None, np.zeros((1, kernels.MASS + 2), np.complex128), heavy.seeds(plant, keys),
+        *_slopes_at_start(run, keys), none, np.zeros((n, 0, 1, 0)), np.zeros(0, np.int64), np.zeros((n, 1, count)),
+        np.zeros((n, parts + 1, 0)), np.zeros((0, 4, count)), speeds,
     )  # fmt: skip
     return -HEAVY / prescribed.step * np.diff(speeds, axis=1).transpose(1, 0, 2)
 

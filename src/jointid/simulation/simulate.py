@@ -209,15 +209,20 @@ def integrate(
     if straight:
         bands, pieces, followed = plant.masses.shape[1], 2 * plant.springs.shape[1] - 1, clock * parts if keep else 0
         rates = np.zeros((affine.MODES * bands ** len(place) * pieces ** len(plant.pairs), 2, affine.INPUTS))
-        path = Path(array("states", (followed, 4)), array("modes", (followed,), np.int16), rates)
+        maps = len(rates) * parts
+        path = Path(
+            array("states", (followed, 4)), array("modes", (followed,), np.int16), rates,
+            np.empty((maps, affine.INPUTS, 4)), np.empty((maps, 4)),
+            array("pushes", (maps if keep else 0, affine.INPUTS * affine.WIDE)),
+        )  # fmt: skip
     rows = (clock // 8 if straight else _MORE * clock * parts * max(steps, 1)) + _TAPED if keep else 0
     rate, reach = (steps / float(np.max(loop.lengths)), 1.0) if steps else (0.0, engine.REACH)
     while True:
         tape = array("tape", (rows, STATE + 7 * len(plant.masses) + 3 * len(plant.pairs)))
         counts, joint = np.zeros(4, np.int64), None if straight or tree is not None else (0.0,) * len(place)
         status = engine.run(
-            plant, tree, inertials, loop, before, far, z.copy(), joint, place, speed, wound.copy(), rate, reach,
-            command, excess, tape, path, counts,
+            plant, tree, inertials, loop, before, far, z.copy(), joint, place, speed, None if straight else wound, rate,
+            reach, command, excess, tape, path, counts,
         )  # fmt: skip
         if not keep or counts[1] <= rows:  # else joints that turn round and stick all the time
             break

@@ -107,11 +107,16 @@ class Path(NamedTuple):
         modes: (parts,) ``3 m1 + m2 + 4``, and 9 times the number of bands and piece, see `affine.enter_mode`; or (0,).
         rates: (modes, 2, 5) of each that was met the accelerations of motor and load by motor velocity, stretch, load
             velocity, torque and constant forces.
+        moves, bends: (modes * parts, 5, 4) and (modes * parts, 4), their maps, see `affine.enter_mode`.
+        pushes: (modes * parts, 5 * 4 * LANES) of a kept run, room for the derivatives of the maps.
     """
 
     states: FloatArray
     modes: NDArray[np.int16]
     rates: FloatArray
+    moves: FloatArray
+    bends: FloatArray
+    pushes: FloatArray
 
 
 class Seeds(NamedTuple):

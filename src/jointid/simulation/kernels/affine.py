@@ -13,14 +13,17 @@ operation as dear as thirty others.
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import Any, TypeAlias
 
 import numpy as np
 from numba import config, extending, types
+from numba.core import cgutils
+from numba.np import arrayobj
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compile_kernel, inline_kernel
+from jointid.common.compiled import assign, inline_kernel
 from jointid.simulation import kernels
 from jointid.simulation.kernels import LANES, IntArray, SampledLoop, Seeds
 from jointid.simulation.kernels.control import SmallLaw, control_any
@@ -42,21 +45,43 @@ WIDE = 4 * LANES  # derivatives of a state
 _S, _T, _Z, _D, _EXPLICIT, SCRATCH = (LANES * row for row in (0, 4, 8, 10, 11, 12))
 
 
-def _ask_for(attribute: str) -> Any:
-    def ask(_: Any) -> tuple[Any, Any]:
-        def lower(context: Any, builder: Any, *_: Any) -> Any:
-            set.add(builder.function.attributes, attribute)  # their own `add` takes no values
-            return context.get_dummy_value()
+def _lower(context: Any, builder: Any, signature: Any, sizes: Any) -> Any:
+    element = context.get_value_type(signature.return_type.dtype)
+    array, width = context.make_array(signature.return_type)(context, builder), context.get_abi_sizeof(element)
+    memory, width = builder.alloca(element, reduce(builder.mul, sizes)), context.get_constant(types.intp, width)
+    memory.align = 64  # bytes of a cache line
+    cgutils.memset(builder, memory, reduce(builder.mul, sizes, width), 0)  # type: ignore
+    strides = [builder.mul(width, columns) for columns in sizes[1:]]
+    arrayobj.populate_array(array, memory, [*sizes], [*strides, width], width, None)  # type: ignore
+    return array._getvalue()
 
-        return types.void(), lower
 
-    return (lambda: None) if config.DISABLE_JIT else extending.intrinsic(ask)  # type: ignore
+def _on_stack(kind: Any, dimensions: int = 1, dtype: type = np.float64) -> Any:
+    def vector_of(_: Any, size: Any) -> tuple[Any, Any]:
+        return types.Array(kind, 1, "C")(size), _lower
+
+    def table_of(_: Any, rows: Any, columns: Any) -> tuple[Any, Any]:
+        return types.Array(kind, 2, "C")(rows, columns), _lower
+
+    make: Any = vector_of if dimensions == 1 else table_of
+    return (lambda *sizes: np.zeros(sizes, dtype)) if config.DISABLE_JIT else extending.intrinsic(make)  # type: ignore
 
 
-wide_vectors = _ask_for('"prefer-vector-width"="512"')
+vector, table, indices = _on_stack(types.float64), _on_stack(types.float64, 2), _on_stack(types.int64, dtype=np.int64)
+"""Zeros on the stack, which LLVM keeps in registers where it knows their number and each index."""
+_complex_table = _on_stack(types.complex128, 2, np.complex128)
+
+
+def _widen(_: Any) -> tuple[Any, Any]:
+    def lower(context: Any, builder: Any, *_: Any) -> Any:
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # their own `add` takes no values
+        return context.get_dummy_value()
+
+    return types.void(), lower
+
+
+wide_vectors: Any = (lambda: None) if config.DISABLE_JIT else extending.intrinsic(_widen)  # type: ignore
 """Let a function use whole vectors, as those it inlines must ask, too: of 512 bits LLVM by itself takes halves."""
-compact = _ask_for("optsize")
-"""Leave the loops of a function to those that inline it, as these may know how often they run."""
 
 
 @inline_kernel
@@ -153,10 +178,10 @@ def _ways(mode: int) -> tuple[int, int]:
     return mode % MODES // 3 - 1, mode % 3 - 1
 
 
-@compile_kernel
+@inline_kernel
 def enter_mode(
     bands: int, pieces: int, mass: FloatArray, spring: FloatArray, modes: FloatArray, at: IntArray, v: FloatArray,
-    loose: float, lengths: FloatArray, filled: NDArray[np.bool_], rates: FloatArray, moves: FloatArray,
+    loose: float, lengths: FloatArray, filled: IntArray, rates: FloatArray, moves: FloatArray,
     bends: FloatArray,
 ) -> int:  # fmt: skip
     """Return the index of the mode of two masses, and compute its maps at its first use.
@@ -185,7 +210,7 @@ def enter_mode(
         for i in range(INPUTS):
             x = unit_move(rates[mode], m1, m2, i, lengths[part])
             moves[b, i, 0], moves[b, i, 1], moves[b, i, 2], moves[b, i, 3] = x
-    filled[mode] = True
+    filled[mode] = 1
     return mode
 
 
@@ -297,7 +322,7 @@ def _follow_chords(
     return k, clipped, x, (z0, z1)
 
 
-@compile_kernel
+@inline_kernel
 def ride(
     mass: FloatArray, spring: FloatArray, bounds: FloatArray, loop: SampledLoop, law: SmallLaw, small: bool,
     before: float, far: float, rates: FloatArray, moves: FloatArray, bends: FloatArray, mode: int, states: FloatArray,
@@ -350,7 +375,7 @@ def ride(
 # that nothing overlaps, and keeps to vector instructions.
 
 
-@compile_kernel
+@inline_kernel
 def fill_tangent(
     masses: FloatArray, springs: FloatArray, seeds: Seeds, mode: int, lengths: FloatArray, rates: FloatArray,
     moves: FloatArray, moved: FloatArray,
@@ -360,9 +385,8 @@ def fill_tangent(
     Filled are `moves`, as by `enter_mode`, and `moved`, (modes * parts, INPUTS * 4 * LANES).
     """
     (m1, m2), nd, (where, band), bands = _ways(mode), masses.shape[0], (mode // MODES, 0), masses.shape[1]
-    dmass, dspring = np.zeros((LANES, 2, kernels.MASS)), np.zeros((LANES, 1, kernels.MASS))
-    bent: NDArray[Any] = np.zeros((2, INPUTS), dtype=np.complex128)
-    slopes = np.zeros((2, INPUTS))
+    dmass, dspring = table(2 * LANES, kernels.MASS), table(LANES, kernels.MASS)
+    bent, slopes = _complex_table(2, INPUTS), table(2, INPUTS)
     share1, share2 = abs(m1) / masses[0, 0, kernels.INERTIA], abs(m2) / masses[nd - 1, 0, kernels.INERTIA]
     for i in range(nd + springs.shape[0]):
         piece = where - springs.shape[1] + 1
@@ -370,14 +394,14 @@ def fill_tangent(
         for e in range(seeds.begin[i, band], seeds.begin[i, band + 1]):
             number, c, value = seeds.numbers[e], seeds.columns[e], seeds.values[e]
             if i < nd:
-                dmass[c, i, number] = value
+                dmass[2 * c + i, number] = value
             else:
-                dspring[c, 0, number] = -value if number == kernels.HELD and piece < 0 else value
+                dspring[c, number] = -value if number == kernels.HELD and piece < 0 else value
     for c in range(LANES):
-        fill_rates(dmass[c], dspring[c], m1, m2, share1, share2, 0.0, slopes)
+        fill_rates(dmass[2 * c :], dspring[c:], m1, m2, share1, share2, 0.0, slopes)
         for i in range(INPUTS):
-            slope1 = slopes[0, i] - dmass[c, 0, kernels.INERTIA] * share1 * rates[mode, 0, i]
-            slope2 = slopes[1, i] - dmass[c, 1, kernels.INERTIA] * share2 * rates[mode, 1, i]
+            slope1 = slopes[0, i] - dmass[2 * c, kernels.INERTIA] * share1 * rates[mode, 0, i]
+            slope2 = slopes[1, i] - dmass[2 * c + 1, kernels.INERTIA] * share2 * rates[mode, 1, i]
             bent[0, i], bent[1, i] = rates[mode, 0, i] + _STEP * slope1, rates[mode, 1, i] + _STEP * slope2
         for part in range(lengths.size):
             for i in range(INPUTS):
@@ -404,20 +428,13 @@ def _write(s: FloatArray, dq: FloatArray, dv: FloatArray) -> None:
 
 
 @inline_kernel
-def _push(s: FloatArray, moved: FloatArray, b: int, v1: float, stretch: float, v2: float, torque: float) -> None:
-    """Write what the parameters change in the map of a part, for the motion there is."""
-    wide_vectors()
-    m = np.uint64(b)  # Numba looks for negative indices among the signed
-    for i in range(WIDE):
-        change = (moved[m, 4 * WIDE + i] + moved[m, i] * v1) + moved[m, WIDE + i] * stretch
-        s[_T + i] = (change + moved[m, 2 * WIDE + i] * v2) + moved[m, 3 * WIDE + i] * torque
-
-
-@inline_kernel
 def _step(s: FloatArray, m: FloatArray, moved: FloatArray, b: int, states: FloatArray, at: int, torque: float) -> None:
     """Move the derivatives over a part in which nothing happened."""
     wide_vectors()
-    _push(s, moved, b, states[at, 1], states[at, 2] - states[at, 0], states[at, 3], torque)
+    own, v1, stretch, v2 = np.uint64(b), states[at, 1], states[at, 2] - states[at, 0], states[at, 3]
+    for i in range(WIDE):  # what the parameters change in the map, for the motion there is
+        change = (moved[own, 4 * WIDE + i] + moved[own, i] * v1) + moved[own, WIDE + i] * stretch
+        s[_T + i] = (change + moved[own, 2 * WIDE + i] * v2) + moved[own, 3 * WIDE + i] * torque
     p00, p01, p02, p03 = m[b, 0, 0], m[b, 0, 1], m[b, 0, 2], m[b, 0, 3]
     p10, p11, p12, p13 = m[b, 1, 0], m[b, 1, 1], m[b, 1, 2], m[b, 1, 3]
     p20, p21, p22, p23 = m[b, 2, 0], m[b, 2, 1], m[b, 2, 2], m[b, 2, 3]
@@ -456,11 +473,7 @@ def glide_slopes(
     """
     wide_vectors()
     a00, a01, a10, a11, b0, b1, c0, c1, _, _, direct, limit = law
-    parts, b, once = lags.size, mode * lags.size, lags.size == 1 and lags[0] == 0
-    p00, p01, p02, p03 = m[b, 0, 0], m[b, 0, 1], m[b, 0, 2], m[b, 0, 3]
-    p10, p11, p12, p13 = m[b, 1, 0], m[b, 1, 1], m[b, 1, 2], m[b, 1, 3]
-    p20, p21, p22, p23 = m[b, 2, 0], m[b, 2, 1], m[b, 2, 2], m[b, 2, 3]
-    g0, g1, g2, g3 = m[b, 3, 0], m[b, 3, 1], m[b, 3, 2], m[b, 3, 3]
+    parts, b = lags.size, mode * lags.size
     _read(s, dq, dv)
     for i in range(dz.shape[0]):
         for c in range(LANES):
@@ -469,25 +482,13 @@ def glide_slopes(
         at = np.uint64(k)  # Numba looks for negative indices among the signed
         for i in range(columns.size):
             s[_EXPLICIT + columns[i]] = explicit[at, 0, i]
-        if once:  # what acts is what the law puts out: nothing waits in memory
-            _push(s, moved, b, states[at, 1], states[at, 2] - states[at, 0], states[at, 3], u[at] + post[at])
-            for j in range(LANES):
-                a0, a1, a2, a3 = s[_S + j], s[_S + LANES + j], s[_S + 2 * LANES + j], s[_S + 3 * LANES + j]
-                a, z0, z1 = a2 - a0, s[_Z + j], s[_Z + LANES + j]
-                d = (direct * a0 + s[_EXPLICIT + j]) + (c0 * z0 + c1 * z1)
-                s[_S + j] = ((((s[_T + j] + a0) + p00 * a1) + p20 * a3) + p10 * a) + g0 * d
-                s[_S + LANES + j] = (((s[_T + LANES + j] + p01 * a1) + p21 * a3) + p11 * a) + g1 * d
-                s[_S + 2 * LANES + j] = ((((s[_T + 2 * LANES + j] + a2) + p02 * a1) + p22 * a3) + p12 * a) + g2 * d
-                s[_S + 3 * LANES + j] = (((s[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
-                s[_Z + j], s[_Z + LANES + j] = b0 * a0 + (a00 * z0 + a01 * z1), b1 * a0 + (a10 * z0 + a11 * z1)
-                s[_D + j] = d
-        for j in range(0 if once else LANES):
+        for j in range(LANES):
             a0, z0, z1 = s[_S + j], s[_Z + j], s[_Z + LANES + j]
             s[_D + j] = (direct * a0 + s[_EXPLICIT + j]) + (c0 * z0 + c1 * z1)
             s[_Z + j], s[_Z + LANES + j] = b0 * a0 + (a00 * z0 + a01 * z1), b1 * a0 + (a10 * z0 + a11 * z1)
         for j in range(LANES):
             du[at, j] = s[_D + j]
-        for part in range(0 if once else parts):
+        for part in range(parts):
             source = k - lags[part]
             acts, torque = np.uint64(max(source, 0)), u[source] + post[source] if source >= 0 else before
             for j in range(LANES):

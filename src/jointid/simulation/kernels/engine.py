@@ -25,13 +25,10 @@ complementarity problem, Opsearch 11, 1974), which ends for every positive defin
 from __future__ import annotations
 
 import math
-from functools import reduce
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import config, extending, types
-from numba.core import cgutils
-from numba.np import arrayobj
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
@@ -39,6 +36,7 @@ from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, affine, laws
+from jointid.simulation.kernels.affine import indices, table, vector
 from jointid.simulation.kernels.control import control_any, small_law
 
 REACH = 0.3  # rad: how far the fastest part of a joint's motion may turn in a step
@@ -54,29 +52,6 @@ _WINDS = 1e-4  # of a limit: where its winding up no longer shortens the steps
 _STICKS = 30.0  # rad that a mass turns in a part on friction not wound up: above it cannot be told from Coulomb's
 
 
-def _lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    array, width = context.make_array(signature.return_type)(context, builder), context.get_constant(types.intp, 8)
-    size = reduce(builder.mul, args)
-    memory = builder.alloca(context.get_value_type(types.float64), size)
-    cgutils.memset(builder, memory, builder.mul(width, size), 0)  # type: ignore
-    strides = [builder.mul(width, columns) for columns in args[1:]]
-    arrayobj.populate_array(array, memory, [*args], [*strides, width], width, None)  # type: ignore
-    return array._getvalue()
-
-
-def _make_vector(_: Any, size: Any) -> tuple[Any, Any]:
-    return types.float64[::1](size), _lower
-
-
-def _make_table(_: Any, rows: Any, columns: Any) -> tuple[Any, Any]:
-    return types.float64[:, ::1](rows, columns), _lower
-
-
-vector: Any = np.zeros if config.DISABLE_JIT else extending.intrinsic(_make_vector)  # type: ignore
-"""Zeros on the stack, which LLVM keeps in registers where it knows their number and each index."""
-table: Any = (lambda *sizes: np.zeros(sizes)) if config.DISABLE_JIT else extending.intrinsic(_make_table)  # type: ignore
-
-
 @inline_kernel
 def tied(tree: Tree | None, pairs: IndexArray, s: int) -> Any:
     """Return the masses that a spring ties; of a joint neighbours."""
@@ -86,7 +61,6 @@ def tied(tree: Tree | None, pairs: IndexArray, s: int) -> Any:
 @inline_kernel
 def _read(x: FloatArray, i: float) -> float:
     """Return an element; i is compared as a number, so that the compiler does not take it for the index."""
-    affine.compact()
     found, where = 0.0, float(i)
     for j in range(x.size):
         found = x[j] if j == where else found
@@ -140,7 +114,6 @@ def accelerate(
     over the inertia. Modes are the directions in which masses and deflections move, 0 of a mass at rest; the rows of
     masses and springs are those of their bands and pieces.
     """
-    affine.compact()
     nd, links = q.size, 0 if tree is None else bias.size
     for i in range(nd):
         held[i] = drive[i] - mass[i, kernels.OFFSET]
@@ -226,7 +199,6 @@ def _watch(
     First those of masses, a speed or what can hold one beyond its push; of springs, the rates of deflections; then as
     many for the bounds of bands and pieces.
     """
-    affine.compact()
     nd, every = v.size, guards.size // 2
     for i in range(nd):
         mode = modes[i]
@@ -249,7 +221,6 @@ def _find_first(
     Less than 1 is the bottom of a dip, on demand, of a speed that is positive at both ends. No guard, -1, if there is
     no event but a known one.
     """
-    affine.compact()
     first, found, where = 2.0, -1, 1.0
     for i in range(guards.size):
         start, end = guards[i], ends[i]
@@ -308,7 +279,6 @@ def _go_on(
     q: FloatArray, v: FloatArray, held: FloatArray,
 ) -> None:  # fmt: skip
     """Change what an event changes: a mass stops, turns or comes loose, a slider turns, a law goes over an edge."""
-    affine.compact()
     nd = v.size
     if event >= modes.size:
         i = event - modes.size
@@ -328,7 +298,6 @@ def _write_row(
     w: FloatArray, a: FloatArray, a1: FloatArray,
 ) -> None:  # fmt: skip
     """Write a step into its row of the tape."""
-    affine.compact()
     nd, every = q.size, w.size
     row[kernels.PART], row[kernels.LENGTH], row[kernels.EVENT] = part, d, event
     for i in range(nd):
@@ -345,7 +314,6 @@ def _fastest_rate(
     mobility: FloatArray, modes: FloatArray, q: FloatArray, v: FloatArray, w: FloatArray, grip: FloatArray,
 ) -> float:  # fmt: skip
     """Return a bound in 1/s on how fast the motion changes by itself, or what acts on it changes with it."""
-    affine.compact()
     nd, square, rate = q.size, 0.0, 0.0
     for i in range(nd):
         rate += max(abs(mass[i, kernels.VISCOUS]), abs(mass[i, kernels.VISCOUS_BACK])) * mobility[i]
@@ -371,10 +339,10 @@ def _fastest_rate(
     return math.sqrt(square) + rate
 
 
-@compile_kernel
+@partial(compile_kernel, _nrt=False)
 def run(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, before: FloatArray, far: FloatArray,
-    z: FloatArray, joint: tuple[float, ...] | None, place: FloatArray, speed: FloatArray, wound: FloatArray,
+    z: FloatArray, joint: tuple[float, ...] | None, place: FloatArray, speed: FloatArray, wound: FloatArray | None,
     rate: float, reach: float, command: FloatArray, excess: FloatArray, tape: FloatArray, path: Path | None,
     counts: IntArray,
 ) -> int:  # fmt: skip
@@ -391,7 +359,8 @@ def run(
         joint: of one without a path a number for each mass: only how many is read, at compile time. None of others.
         place: (masses,) initial positions.
         speed: (masses,) initial velocities.
-        wound: (masses,) initially wound-up shares of friction, overwritten.
+        wound: (masses,) initially wound-up shares of friction; None of a joint of straight lines. What needs it is then
+            not compiled.
         rate: how fast the fastest part of the motion turns, rad/s; 0 to ask that of the masses alone in each step.
         reach: how far it may turn in a step, rad.
         command: (axes, clock) out: torques that act, held between periods.
@@ -409,11 +378,11 @@ def run(
     q, v, a, held, grip, drive = vector(nd), vector(nd), vector(nd), vector(nd), vector(nd), vector(nd)
     q1, v1, a1, held1, grip1, between = vector(nd), vector(nd), vector(nd), vector(nd), vector(nd), vector(nd)
     mean, pull, w, w1, guards, ends = vector(nd), vector(ns), vector(nw), vector(nw), vector(2 * nw), vector(2 * nw)
-    modes, mobility, at, bounds = np.zeros(nw), np.zeros(nd), np.zeros(nw, dtype=np.int64), np.zeros((nw, 2))
-    turned, link_room = np.zeros((places.shape[0], 3)), np.zeros((links, ROOM))
-    mass, spring = np.zeros((max(nd, 2), kernels.MASS + 1)), np.zeros((max(ns, 1), kernels.MASS))
+    modes, mobility, at, bounds = vector(nw), vector(nd), indices(nw), table(nw, 2)
+    turned, link_room = table(places.shape[0], 3), table(links, ROOM)
+    mass, spring = table(max(nd, 2), kernels.MASS + 1), table(max(ns, 1), kernels.MASS)
     M, coupling, bias, still = table(links, links), table(links, links), vector(links), vector(links)
-    fresh, cut = np.empty(z.shape[1]), np.zeros(elements)
+    fresh, cut = vector(z.shape[1]), vector(elements)
     period, longest, coupled = 0.0, 0.0, tree is not None  # whether a torque moves more than its motor
     for part in range(parts):
         period += lengths[part]
@@ -423,9 +392,11 @@ def run(
         assign(mass[i], masses[i, 0])
         mobility[i] = 1.0 / mass[i, kernels.INERTIA] if i >= links else 0.0
         coupled = coupled or (carriers[i] < 0 and mass[i, kernels.PER_TORQUE] > 0.0)
-    _begin(masses, springs, pairs, links, mobility, longest, place, speed, wound, modes, at)
     for i in range(nd):
-        q[i], v[i], w[i] = place[i], speed[i], wound[i]
+        q[i], v[i] = place[i], speed[i]
+        if wound is not None:
+            w[i] = wound[i]
+    _begin(masses, springs, pairs, links, mobility, longest, q, v, w, modes, at)
     varies = places.shape[0] > 0  # how fast the motion changes by itself, between two events
     for i in range(nd + ns):
         _enter(i, masses, springs, modes, at, mass, spring, bounds)
@@ -437,10 +408,9 @@ def run(
             M[i, i] += mass[i, kernels.INERTIA]
     events, steps, rows, k, part, fastest, work, status, changed = 0, 0, 1, 0, 0, rate, _WORK, kernels.FINISHED, True
     if path is not None:  # maps of lines in pieces, and a law of one element, one phase and two states, which glides
-        states, kept_modes, rates = path
+        states, kept_modes, rates, moves, bends, _ = path
         work, maps, bands, pieces = _OF_LINES, rates.shape[0], masses.shape[1], springs.shape[1]
-        filled = np.zeros(maps, dtype=np.bool_)
-        moves, bends = np.empty((parts * maps, affine.INPUTS, 4)), np.empty((parts * maps, 4))
+        filled = indices(maps)
         small = parts == 1 and z.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
         law = small_law(loop, z.shape[1] if small else 0)
         fastest = _fastest_rate(mass, spring, places, tree, pairs, mobility, modes, q, v, w, grip)
@@ -461,13 +431,14 @@ def run(
                 break
         for j in range(axes):
             motor = np.uint64(0) if tree is None else motors[j]
-            if path is None and every[j] > 1 and k % every[j] != 0:  # this controller holds
-                command[j, k] = command[j, k - 1]
-            elif path is None:
-                own = k // every[j] if every[j] > 1 else k
-                command[j, k] = control_any(loop, j, own, q[motor], z, fresh, cut)
-                if excess.shape[1] > 0:
-                    assign(excess[j, own], cut)
+            if wound is not None:
+                if every[j] > 1 and k % every[j] != 0:  # this controller holds
+                    command[j, k] = command[j, k - 1]
+                else:
+                    own = k // every[j] if every[j] > 1 else k
+                    command[j, k] = control_any(loop, j, own, q[motor], z, fresh, cut)
+                    if excess.shape[1] > 0:
+                        assign(excess[j, own], cut)
                 limited = limited or cut[outputs[j]] != 0.0
             if not (abs(q[motor]) <= far[j] and abs(command[j, k]) < np.inf):
                 status = kernels.DIVERGED
@@ -530,22 +501,24 @@ def run(
                         if path is not None:
                             moved = affine.flow(rates[mode], d, affine.read_state(q, v), drive[0], 1.0)
                             affine.write_state(moved, q1, v1)
-                        for i in range(nd if path is None else 0):
-                            if stage < 3:
-                                mean[i] = v[i] + 0.5 * gone * (a[i] if stage == 0 else between[i])
-                                between[i] += a1[i]
-                                v1[i] = v[i] + gone * a1[i]
-                            else:
-                                mean[i] = v[i] + d / 6.0 * (a[i] + between[i])
-                                v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between[i] + a1[i])
-                            q1[i] = q[i] + gone * mean[i] if onward else q1[i]
-                        for i in range(nd if onward else 0):
-                            if mass[i, kernels.WINDING] > 0.0:
-                                w1[i] = laws.wind(mass, i, modes[i], mean[i], gone, w[i])
-                        for s in range(ns if onward else 0):
-                            one, two = tied(tree, pairs, s)
-                            if spring[s, kernels.WINDING] > 0.0:
-                                w1[nd + s] = laws.wind(spring, s, modes[nd + s], mean[two] - mean[one], gone, w[nd + s])
+                        if wound is not None:
+                            for i in range(nd):
+                                if stage < 3:
+                                    mean[i] = v[i] + 0.5 * gone * (a[i] if stage == 0 else between[i])
+                                    between[i] += a1[i]
+                                    v1[i] = v[i] + gone * a1[i]
+                                else:
+                                    mean[i] = v[i] + d / 6.0 * (a[i] + between[i])
+                                    v1[i] = v[i] + d / 6.0 * (a[i] + 2.0 * between[i] + a1[i])
+                                q1[i] = q[i] + gone * mean[i] if onward else q1[i]
+                            for i in range(nd if onward else 0):
+                                if mass[i, kernels.WINDING] > 0.0:
+                                    w1[i] = laws.wind(mass, i, modes[i], mean[i], gone, w[i])
+                            for s in range(ns if onward else 0):
+                                one, two = tied(tree, pairs, s)
+                                x = nd + s
+                                if spring[s, kernels.WINDING] > 0.0:
+                                    w1[x] = laws.wind(spring, s, modes[x], mean[two] - mean[one], gone, w[x])
                         if tree is not None:
                             equations_of_motion(
                                 tree, inertials, q1[:links], v1[:links], still, link_room, M, bias, not onward

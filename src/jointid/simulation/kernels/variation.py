@@ -21,6 +21,7 @@ are linear between limits, and where one acts its element follows the limit.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,8 +34,9 @@ from jointid.models.robots.equations import ROOM, linearised_equations, to_shaft
 from jointid.models.robots.robot import Tree
 from jointid.simulation import kernels
 from jointid.simulation.kernels import FREE, STATE, IndexArray, IntArray, Path, Plant, SampledLoop, Seeds, affine, laws
+from jointid.simulation.kernels.affine import indices, table, vector
 from jointid.simulation.kernels.control import NOTHING, OFTEN, control_slopes, small_law
-from jointid.simulation.kernels.engine import factorise, solve, table, tied, vector
+from jointid.simulation.kernels.engine import factorise, solve, tied
 
 # Factors of a step: of each mass whether it moves, its drag and stiffness, how much of the torque that it carries it
 # takes; of springs stiffness and damping; of both the force of what winds up, whole, first and last, its stiffness, how
@@ -72,11 +74,12 @@ def _stretch(d: FloatArray, tree: Tree | None, pairs: IndexArray, nd: int, x: in
 def _fill_factors(
     masses: FloatArray, springs: FloatArray, places: FloatArray, tree: Tree | None, pairs: IndexArray,
     carriers: IntArray, tape: FloatArray, row: int, mean: FloatArray, change: FloatArray, drive: FloatArray,
-    time: float, own: FloatArray, law: NDArray[Any], torque: FloatArray, f: FloatArray, k: FloatArray,
+    time: float, own: FloatArray, law: NDArray[Any] | None, torque: FloatArray, f: FloatArray, k: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the factors of a step, a row of the tape, and the partials of the forces by their numbers at both ends.
 
-    Partials have rows for masses, springs and places as the step begins, then as many as it ends.
+    Partials have rows for masses, springs and places as the step begins, then as many as it ends. The scratch `law` is
+    None where nothing winds up.
     """
     nd, ns, h, half = mean.shape[1], torque.size, tape[row, kernels.LENGTH], k.shape[0] // 2
     mass, spring = own[:nd], own[nd:]
@@ -94,7 +97,7 @@ def _fill_factors(
         for s in range(ns):
             (one, two), x, to, piece = tied(tree, pairs, s), nd + s, end * half + nd + s, tape[row, at + nd + s]
             speed, way, begun = mean[_SPEED, two] - mean[_SPEED, one], tape[row, modes + nd + s], wound + nd + s
-            w = laws.wind(spring, s, way, speed, 0.5 * h, tape[row, begun])
+            w = tape[row, begun] if law is None else laws.wind(spring, s, way, speed, 0.5 * h, tape[row, begun])
             w += side * (tape[row + 1, begun] - tape[row, begun])
             e = mean[_PLACE, two] - mean[_PLACE, one] + side * (change[_PLACE, two] - change[_PLACE, one])
             de = speed + side * (change[_SPEED, two] - change[_SPEED, one])
@@ -110,7 +113,7 @@ def _fill_factors(
             carried = torque[np.uint64(carriers[i])] if carriers[i] >= 0 else drive[i]
             grip, drag = laws.friction(mass, i, back, carried, then)
             k[to, kernels.INERTIA] = -mean[_CHANGE, i] - side * change[_CHANGE, i]
-            if mass[i, kernels.WINDING] > 0.0:
+            if law is not None and mass[i, kernels.WINDING] > 0.0:
                 f[_FIRST + end, i] = -grip
                 share = laws.wind(mass, i, mode, speed, 0.5 * h, tape[row, wound + i])
                 share += side * (tape[row + 1, wound + i] - tape[row, wound + i])
@@ -121,6 +124,8 @@ def _fill_factors(
         for j in range(places.shape[0]):
             i, to = int(places[j, kernels.WHERE]), (end + 1) * half - places.shape[0] + j
             f[_STIFF, i] += 0.5 * laws.place_partials(places, j, mean[_PLACE, i] + side * change[_PLACE, i], k, to)
+    if law is None:
+        return
     for x in range(nd + ns):
         way, w = tape[row, modes + x], tape[row, wound + x]
         if f[_FIRST, x] == 0.0 or w == way:
@@ -220,7 +225,7 @@ def _move(
 
 @inline_kernel
 def _shift_edges(
-    rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int, jumps: NDArray[np.bool_],
+    rotors: IndexArray, delays: IntArray, tape: FloatArray, last: int, row: int, jumps: IntArray,
     f: FloatArray, M: FloatArray, left: FloatArray, push: FloatArray, dv: FloatArray,
 ) -> None:  # fmt: skip
     """Add to the velocities what later edges of the torques, as a step begins, take from them.
@@ -288,18 +293,20 @@ def _pass_event(
             dv[i, c] += jump[i] * lead[c]
 
 
-@compile_kernel
+@partial(compile_kernel, _nrt=False)
 def follow(
     plant: Plant, tree: Tree | None, inertials: FloatArray, loop: SampledLoop, joint: tuple[float, ...] | None,
     torques_before: FloatArray, torques: FloatArray, excess: FloatArray, tape: FloatArray, path: Path | None,
-    seeds: Seeds, first_q: FloatArray, first_v: FloatArray, dz: FloatArray, explicit: FloatArray, columns: IntArray,
-    dlimits: FloatArray, command: FloatArray, states: FloatArray, speeds: FloatArray,
+    wound: NDArray[Any] | None, seeds: Seeds, first_q: FloatArray, first_v: FloatArray, dz: FloatArray,
+    explicit: FloatArray, columns: IntArray, dlimits: FloatArray, command: FloatArray, states: FloatArray,
+    speeds: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the derivatives of a finished run by n parameters; LANES of a joint of straight lines.
 
     Arguments of `kernels.engine.run` are as the run left them, `torques`, (axes, clock), what it wrote, the tape its
-    filled rows. The seeds say how the numbers of the plant depend on the parameters. Derivatives that are given:
-    `first_q` and `first_v`, (masses, n), of the first positions and velocities; `dz`, (axes, states, n), of the
+    filled rows. `wound`, (1, MASS + 2), is scratch for what winds up. Of a joint of straight lines it is None, and what
+    needs it is not compiled. The seeds say how the plant's numbers depend on the parameters. Derivatives that are
+    given: `first_q` and `first_v`, (masses, n), of the first positions and velocities; `dz`, (axes, states, n), of the
     controllers' states, overwritten; `dlimits`, (axes, elements, n); and `explicit`, (axes, periods, elements, some),
     of the controllers' elements, the motion and what limits take away held, by the parameters of some `columns`.
 
@@ -314,25 +321,28 @@ def follow(
     n, axes, count = len(inertials), len(torques), first_q.shape[1]
     parts, steps, elements, forces, last_row = lags.shape[1], torques.shape[1], excess.shape[2], nd + ns, len(tape) - 1
     controlled, heavy = command.shape[2] > 0, rotors[: rotors.size if speeds.shape[1] > 0 else 0]
-    G, rows = np.zeros((2, forces, count)), np.zeros((nd, count))
-    dq, dv, dw, acts = first_q.copy(), first_v.copy(), np.zeros((forces, count)), np.zeros(axes, np.int64)
-    lead, kicks = np.zeros(count), vector(nd)
-    fresh, raw, taken = np.zeros((dz.shape[1], count)), np.zeros((elements, count)), np.zeros((elements, count))
+    G, rows = table(2 * forces, count).reshape((2, forces, count)), table(nd, count)
+    dq, dv, dw, acts = table(nd, count), table(nd, count), table(forces, count), indices(axes)
+    lead, kicks = vector(count), vector(nd)
+    fresh, raw, taken = table(dz.shape[1], count), table(elements, count), table(elements, count)
     mean, change, drive, numbers = table(3, nd), table(3, nd), vector(nd), table(forces, kernels.MASS + 1)
-    wound, torque, f = np.zeros((1, _GONE + 1), np.complex128), vector(ns), table(_TURNS + _GONE + 1, forces)
-    k, room, Y = table(2 * (forces + len(places)), _GONE + 1), np.zeros((n, ROOM)), np.zeros((n, 10 * n))
+    torque, f = vector(ns), table(_TURNS + _GONE + 1, forces)
+    k, room, Y = table(2 * (forces + len(places)), _GONE + 1), table(n, ROOM), table(n, 10 * n)
     M, K, C, left = table(nd, nd), table(nd, nd), table(nd, nd), table(nd, nd)
     turns = _WHOLE if controlled and tree is not None else _COMPOSED
-    jumps = np.zeros(axes, dtype=np.bool_)
+    jumps, period = indices(axes), 0.0
     if path is not None:
-        kept, modes, rates = path
-        maps, inputs, in_lanes = rates.shape[0], affine.INPUTS, np.zeros(affine.SCRATCH)
-        filled, moves = np.zeros(maps, dtype=np.bool_), np.empty((maps * parts, inputs, 4))
-        pushes = np.empty((maps * parts, inputs * affine.WIDE))
+        kept, modes, rates, moves, _, pushes = path
+        filled, in_lanes = indices(rates.shape[0]), vector(affine.SCRATCH)
         small = dz.shape[1] <= 2 and loop.D.size == 1 and loop.driven.shape[1] == 0
         law = small_law(loop, dz.shape[1] if small else 0)
         plain = small and len(states) + len(seeds.delays) == 0
-    period, row, step, at_band = np.sum(lengths), 1, 0, STATE + 5 * nd + ns
+    for part in range(parts):
+        period += lengths[part]
+    for i in range(nd):
+        assign(dq[i], first_q[i])
+        assign(dv[i], first_v[i])
+    row, step, at_band = 1, 0, STATE + 5 * nd + ns
     while step < steps:
         if step % OFTEN == 0:
             for values in (dq.reshape(-1), dv.reshape(-1), dz.reshape(-1)):
@@ -366,7 +376,7 @@ def follow(
                 assign(speeds[j, at], dv[heavy[j]])
             for j in range(axes):
                 source = step - lags[j, part]
-                jumps[j] = source != (step - lags[j, part - 1] if part > 0 else step - 1 - lags[j, parts - 1])
+                jumps[j] = int(source != (step - lags[j, part - 1] if part > 0 else step - 1 - lags[j, parts - 1]))
                 drive[rotors[j]] = torques[j, source] + post[j, source] if source >= 0 else torques_before[j]
                 acts[j] = max(source, 0)
             last, edge = row - 1, len(seeds.delays) > 0 and at > 0
@@ -379,7 +389,7 @@ def follow(
                     dv[0, seeds.delays[d, 0]] -= jump
                 edge = False
                 if not filled[mode]:
-                    filled[mode] = True
+                    filled[mode] = 1
                     affine.fill_tangent(masses, springs, seeds, mode, lengths, rates, moves, pushes)
                 if not stepped:
                     tangent = mode * parts + part
