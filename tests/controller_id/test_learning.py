@@ -46,7 +46,7 @@ def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> No
     assert learned.controller.position_offset == pytest.approx(3 * T)
 
 
-@pytest.mark.parametrize("number", [600, 601])
+@pytest.mark.parametrize("number", [pytest.param(600, marks=pytest.mark.slow), 601])
 def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     twin = loop_twin(number)
     find_law(monkeypatch, twin.structure, twin.numbers)

@@ -25,6 +25,7 @@ def test_intervals_hold_the_truth_whichever_the_timing_was():
     assert np.sqrt(np.mean(np.square(errors))) < 0.015  # 4 % with the rows about reversals
 
 
+@pytest.mark.slow
 def test_intervals_of_a_robot_hold_the_truth():
     inside = []
     for held in (True, False):
@@ -53,7 +54,7 @@ def test_intervals_cover_a_log_that_is_late(samples):
     assert all(abs(found[name].value - true) <= 2 * found[name].stderr for name, true in TRUE.items())
 
 
-@pytest.mark.parametrize("late", [None, 0.0])
+@pytest.mark.parametrize("late", [None, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_on_the_drive_side_the_delay_makes_up_for_the_timing(late):
     """Of a torque that was sampled half a sample, which moves friction and inertia where the delay is kept."""
     joint, inside, kept = ji.RigidJoint("revolute"), [], []

@@ -178,6 +178,7 @@ def test_samples_that_are_missing_are_named_with_their_place() -> None:
     assert not any(one.name is Subject.LOOP and one.passed is False for one in identify(records, arm(3), IDIM()).checks)
 
 
+@pytest.mark.slow
 def test_a_model_that_holds_leaves_noise() -> None:
     records = records_of(arm(), 2, noise=0.2)
     found = diagnose_robot(identified(arm(), records), records)

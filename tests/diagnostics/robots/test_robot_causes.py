@@ -121,6 +121,7 @@ def test_a_declared_coupling_leaves_the_causes_and_an_undeclared_one_is_named() 
     assert cause is not None and (cause.name, cause.joints) == ("coupled", ("joint3", "joint2"))
 
 
+@pytest.mark.slow
 def test_torques_without_gravity_are_a_cause_and_a_length_that_no_robot_has_is_none() -> None:
     assert getattr(cause_of(arm(3), replace(arm(3), gravity=np.zeros(3))), "name", "") == "unlogged_gravity"
     robot = arm(3)

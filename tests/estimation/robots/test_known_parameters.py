@@ -20,7 +20,7 @@ def viscous(free: bool, value: float | None = None, upper: float = np.inf) -> di
     return {"joint1.viscous": stated}
 
 
-@pytest.mark.parametrize("model", [LOOP, TWIN.robot], ids=["didim", "idim"])
+@pytest.mark.parametrize("model", [pytest.param(LOOP, marks=pytest.mark.slow), TWIN.robot], ids=["didim", "idim"])
 def test_values_and_bounds_are_kept(model: Any) -> None:
     """A bound that holds a parameter speaks against the estimate; one that it does not reach changes nothing."""
     free = ji.identify(LOGS[0], model, checks=False)
