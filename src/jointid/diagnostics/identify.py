@@ -53,7 +53,7 @@ from jointid.uncertainty.covariance import INTERVAL, Influence
 from jointid.uncertainty.position_dependent_error import cells
 
 _fail = partial(checks_of, Subject.LOOP, False)
-_PERIODS = 100_000  # of controller or log, of all joints, of which the checks take 20 s of processor at most
+_PERIODS = 100_000  # of controller or log, of all joints, of which most checks take less than 20 s of processor
 _PART = "checks read the first {:.3g} s of the record: jointid diagnose reads all"
 LATER = {"later": True}  # values of a check that was left out on request, and is made up for by `check_later`
 
@@ -97,7 +97,7 @@ def identify(
             which one is checked. False identifies them at once.
         checks: whether to check controller, log and model: of one record, by a DIDIM that ends at the least squares.
             Without them, the verdict on the loop says so. They simulate 100,000 periods of controllers or logs from the
-            first motion on, for 20 s of processor or less; "whole" ones simulate all.
+            first motion on, mostly for less than 20 s of processor; "whole" ones simulate all.
         progress: called with each step in a sentence.
 
     Raises:
