@@ -54,6 +54,12 @@ def test_a_change_of_any_kernel_or_tuple_is_another_cache(tmp_path: Path, monkey
     assert len(found) == 6
 
 
+def test_constant_arguments_share_a_kernel() -> None:
+    inner = compiled.compile_kernel(lambda x, n: x * n)
+    outer = compiled.compile_kernel(lambda x: inner(x, 2) + inner(x, 3))
+    assert (outer(1.5), len(inner.signatures)) == (7.5, 1)
+
+
 @pytest.mark.slow
 def test_a_kernel_is_compiled_once_and_again_where_its_cache_is_damaged(tmp_path: Path) -> None:
     assert [run(tmp_path) for _ in "ab"] == [(3.0, 1), (3.0, 0)]

@@ -6,8 +6,7 @@ masses, in each band of their speeds and piece of their spring, has its own. A m
 nothing happens in between. `kernels.engine` goes through the other parts, about one in a thousand, step by step.
 
 The state is motor position, motor velocity, load position, load velocity; a rigid joint has a load that nothing pushes.
-Functions pass numbers and tuples rather than arrays: Numba counts references to an array at each call, with an atomic
-operation as dear as thirty others.
+Functions pass numbers and tuples rather than arrays, as these stay in registers.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ def _on_stack(kind: Any, dimensions: int = 1, dtype: type = np.float64) -> Any:
 
 
 vector, table, indices = _on_stack(types.float64), _on_stack(types.float64, 2), _on_stack(types.int64, dtype=np.int64)
-"""Zeros on the stack, which LLVM keeps in registers where it knows their number and each index."""
+"""Zeros on the stack, not on the heap: LLVM keeps them in registers where it knows their number and each index."""
 _complex_table = _on_stack(types.complex128, 2, np.complex128)
 
 
