@@ -77,16 +77,16 @@ def test_friction_that_grows_with_the_load_is_in_balance_at_the_first_sample() -
         assert drag == pytest.approx(np.sign(velocity) * (2.0 + 0.2 * abs(load + drag)))
 
 
-@pytest.mark.parametrize("velocity", [0.0, 1e-9, 1e-5])
-def test_what_has_not_wound_up_does_not_drag_at_the_first_sample(velocity: float) -> None:
+@pytest.mark.parametrize(("velocity", "bound"), [(0.0, 1e-3), (1e-9, 2e-3), (1e-5, 10.0), (0.1, 1e-3)])
+def test_only_what_moves_has_wound_up_at_the_first_sample(velocity: float, bound: float) -> None:
     case = prismatic(1)
-    joint = case.loop.joint
-    loop = replace(case.loop, joint=replace(joint, friction=FRICTIONS["presliding"]))
+    loop = replace(case.loop, joint=replace(case.loop.joint, friction=FRICTIONS["presliding"]))
     values = case.truth | {"motor_presliding_distance": 1e-4, "load_presliding_distance": 1e-4}
-    experiment = prepare(loop, case.clean)
-    found = simulate(loop, experiment, values, Initial(velocity=velocity))
-    rest = simulate(loop, experiment, values)
-    assert np.abs(found.torque - rest.torque).max() <= 1e-3 + 1e6 * velocity
+    found = simulate(loop, prepare(loop, case.clean), values, Initial(velocity=velocity))
+    rest = simulate(loop, prepare(loop, case.clean), values)
+    slides = simulate(case.loop, prepare(case.loop, case.clean), case.truth, Initial(velocity=velocity))
+    error = found.torque - rest.torque if velocity < 0.1 else (found.torque - slides.torque)[:5]  # until it turns
+    assert np.abs(error).max() <= bound
 
 
 def test_a_delay_moves_no_edge_of_a_torque_that_goes_on() -> None:
